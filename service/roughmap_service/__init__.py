@@ -1,1 +1,1 @@
-"""roughmap."""
+"""The long-running map service and its command line."""
