@@ -1,0 +1,52 @@
+# Everything runs from a .venv that the first target makes; nothing outside this folder is changed.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV   := .venv
+BIN    := $(VENV)/bin
+READY  := $(VENV)/.roughmap-ready
+UV     := $(BIN)/uv
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test check bench schemas lock clean
+
+help:  ## this list
+	@echo "make TARGET, where TARGET is:"
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-10s %s\n", $$1, $$2}'
+
+setup: $(READY)  ## the Python environment, with the locked versions
+
+# The stamp is made last, so that a setup which failed is tried again. Hatchling comes with the lock: the build looks nothing up.
+$(READY): requirements.lock pyproject.toml
+	@test -n "$(PYTHON)" && $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "roughmap needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+demo: $(READY)  ## the whole job in about a minute: service, rover, planner, replay, pictures in demo/
+	$(BIN)/roughmap demo $(ARGS)
+
+test: $(READY)  ## all tests
+	$(BIN)/python -m pytest $(ARGS)
+
+check: $(READY)  ## style, types, the direction of imports, the exported schemas
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m roughmap_schemas.export --check
+
+bench: $(READY)  ## nanoseconds a point, beside a plain numpy group-by measured in the same run
+	$(BIN)/python tests/bench/run.py $(ARGS)
+
+schemas: $(READY)  ## schemas/json anew from the models
+	$(BIN)/python -m roughmap_schemas.export
+
+lock: $(READY)  ## requirements.lock anew from pyproject.toml
+	test -x $(UV) || $(BIN)/python -m pip install --quiet uv
+	printf 'hatchling>=1.27\neditables>=0.5\n' | $(UV) pip compile pyproject.toml - --universal --python-version 3.11 --extra dev --extra plot \
+	  --generate-hashes --no-emit-index-url --quiet --custom-compile-command 'make lock' --output-file requirements.lock
+
+clean:  ## what was built or made by running; not .venv, not logs of yours
+	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache .coverage
+	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +

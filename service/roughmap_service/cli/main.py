@@ -1,0 +1,115 @@
+"""The `roughmap` command: finds the subcommand, and turns errors into one line and an exit code.
+
+A command is loaded when it is named, so that `roughmap --help` needs none of numba, zenoh or matplotlib. Exit
+codes: 0 done; 1 it failed; 2 bad use, a bad setting or bad input; 130 interrupted.
+"""
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+
+import click
+
+COMMANDS = {
+    "serve": "keep one map: scans and poses in, tiles out, everything logged",
+    "demo": "the whole job on this machine: service, rover, planner, replay, pictures",
+    "simulate": "a rover on known ground that publishes scans and poses",
+    "replay": "integrate a log again and compare it with what was logged",
+    "query": "ask a running service for a region: table, PNG, NPZ",
+    "build": "make a map.db from recorded clouds, without a service",
+    "config": "show, check or describe the configuration",
+}
+"""Name -> what `roughmap --help` says of it. The command is the function of that name in the module of that name."""
+
+
+class _Lazy(click.Group):
+    """A group whose commands are imported when they are asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"roughmap_service.cli.{cmd_name}")
+        command: click.Command = getattr(module, cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(cls=_Lazy, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(version("roughmap"), prog_name="roughmap", message="%(prog)s %(version)s")
+def cli() -> None:
+    """roughmap demo
+
+    A rough-ground map from laser scans and poses, kept up to date point by point, logged so that every run can
+    be replayed to the bit, and served to planners over Zenoh. The line above runs it all on this machine;
+    `roughmap COMMAND --help` opens with a line that runs that command.
+    """
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with its code."""
+    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run the command line; returns the exit code, with at most one line about an error on stderr."""
+    try:
+        result = cli.main(list(arguments), prog_name="roughmap", standalone_mode=False)
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        return _complain("interrupted", 130)
+    except click.UsageError as error:
+        where = f" (see: {error.ctx.command_path} --help)" if error.ctx is not None else ""
+        return _complain(error.format_message() + where, error.exit_code)
+    except click.ClickException as error:
+        return _complain(error.format_message(), error.exit_code)
+    except BrokenPipeError:
+        # The reader of our output left, as `| head` does. What is still buffered must not be tried again at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except Exception as error:
+        code = _exit_code(error)
+        if code is None:
+            raise  # a fault of our own: the traceback is what helps
+        return _complain(_text(error), code)
+    return result if isinstance(result, int) else 0
+
+
+def _exit_code(error: Exception) -> int | None:
+    """The one table from errors to exit codes; None for what nobody foresaw."""
+    from roughmap_schemas.faults import ConfigFault, Fault, QueryFault
+
+    if isinstance(error, ConfigFault | QueryFault):
+        return 2
+    if isinstance(error, Fault | OSError):
+        return 1
+    # Only a command that talks to a service has loaded the client or zenoh.
+    for module, name, code in (("roughmap_client.errors", "RoughMapError", 1), ("zenoh", "ZError", 1)):
+        kind = getattr(sys.modules.get(module), name, None)
+        if kind is not None and isinstance(error, kind):
+            return code
+    return None
+
+
+def _text(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error) or type(error).__name__
+
+
+def _complain(message: str, code: int) -> int:
+    line = " ".join(message.split())
+    click.echo(f"roughmap: {line}", err=True)
+    return code
+
+
+if __name__ == "__main__":
+    main()
