@@ -1,0 +1,90 @@
+"""Zenoh sessions for tests: loopback, ports chosen by the system, no scouting, every wait bounded and on an event."""
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any, Generic, TypeVar
+
+import zenoh
+
+T = TypeVar("T")
+
+WAIT_S = 30.0
+"""How long a test waits for something that ought to happen at once: long enough for a loaded machine."""
+
+
+def peer_config(listen: bool = False, connect: list[str] | None = None, **settings: Any) -> zenoh.Config:
+    """A peer that hears of nobody by itself. `listen` takes a free port on loopback; `settings` are further zenoh
+    settings, with `__` for `/`."""
+    config = zenoh.Config()
+    chosen: dict[str, Any] = {
+        "mode": "peer",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "listen/endpoints": ["tcp/127.0.0.1:0"] if listen else [],
+        "connect/endpoints": connect or [],
+        "adminspace/enabled": True,
+        "adminspace/permissions": {"read": True, "write": False},
+        **{name.replace("__", "/"): value for name, value in settings.items()},
+    }
+    for key, value in chosen.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def locators(session: zenoh.Session) -> list[str]:
+    """The endpoints, with real ports, that a listening session can be reached at (told by its admin space)."""
+    for reply in session.get(f"@/{session.zid()}/peer", timeout=WAIT_S):
+        if reply.ok is not None:
+            return [str(locator) for locator in json.loads(reply.ok.payload.to_bytes())["locators"]]
+    raise AssertionError("the session's admin space did not answer")
+
+
+@contextmanager
+def open_listener() -> Iterator[tuple[zenoh.Session, list[str]]]:
+    """A listening session and its endpoints."""
+    with zenoh.open(peer_config(listen=True)) as session:
+        yield session, locators(session)
+
+
+@contextmanager
+def open_pair() -> Iterator[tuple[zenoh.Session, zenoh.Session]]:
+    """Two sessions joined over loopback TCP: the one that listens, the one that connected."""
+    with ExitStack() as stack:
+        first, endpoints = stack.enter_context(open_listener())
+        second = stack.enter_context(zenoh.open(peer_config(connect=endpoints)))
+        yield first, second
+
+
+def wait_for(event: threading.Event, what: str, timeout: float = WAIT_S) -> None:
+    """Waits for an event and fails by name if it doesn't come."""
+    assert event.wait(timeout), f"waited {timeout:g} s in vain for {what}"
+
+
+class Gathered(Generic[T]):
+    """What a callback was called with; waits for a condition on it."""
+
+    def __init__(self) -> None:
+        self._items: list[T] = []
+        self._condition = threading.Condition()
+
+    def __call__(self, item: T) -> None:
+        """The callback."""
+        with self._condition:
+            self._items.append(item)
+            self._condition.notify_all()
+
+    @property
+    def items(self) -> list[T]:
+        """All items so far."""
+        with self._condition:
+            return list(self._items)
+
+    def wait(self, condition: Callable[[list[T]], bool], what: str, timeout: float = WAIT_S) -> list[T]:
+        """Waits until `condition(items)` holds and gives the items."""
+        with self._condition:
+            assert self._condition.wait_for(lambda: condition(self._items), timeout), (
+                f"waited {timeout:g} s in vain for {what}; came: {self._items!r:.400}"
+            )
+            return list(self._items)
