@@ -1,0 +1,18 @@
+"""Short names for the types of arrays."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+F8 = npt.NDArray[np.float64]
+I4 = npt.NDArray[np.int32]
+I8 = npt.NDArray[np.int64]
+U1 = npt.NDArray[np.uint8]
+U8 = npt.NDArray[np.uint64]
+Flags = npt.NDArray[np.bool_]
+Records = npt.NDArray[np.void]
+"""Arrays of CELL_DTYPE."""
+
+Scalar = Any
+"""A number inside a kernel; numba infers which."""

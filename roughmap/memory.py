@@ -1,0 +1,155 @@
+"""Where tiles live: slots of 4096 cells, in slabs of anonymous memory that kernels reach by address."""
+
+import mmap
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import carray, types
+from numba.extending import intrinsic
+
+from roughmap.arrays import F8, I4, U8, Records, Scalar
+from roughmap.cell import CELL_DTYPE, TILE_CELLS
+from roughmap.jit import inline, kernel
+
+SLOT_CELLS = TILE_CELLS * TILE_CELLS
+SLOT_BYTES = SLOT_CELLS * CELL_DTYPE.itemsize
+SLAB_SLOTS = 64
+CELL_WORDS = CELL_DTYPE.itemsize // 8
+"""Eight-byte words of a cell: word 0 is count | updated << 32, words 1..7 are the floats in the dtype's order."""
+
+
+def _as_pointer(typingctx: Any, address: Any, like: Any) -> Any:  # noqa: ARG001 - numba's calling form
+    """An address as a pointer to values of the type of ``like``."""
+    signature = types.CPointer(like)(types.uint64, like)
+
+    def codegen(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
+        return builder.inttoptr(args[0], context.get_value_type(sig.return_type))
+
+    return signature, codegen
+
+
+_pointer: Any = intrinsic(_as_pointer)
+
+
+@inline
+def floats(address: Scalar) -> F8:
+    """The slot at ``address`` as 8 * 4096 float64 words; words that are multiples of 8 hold no float."""
+    return carray(_pointer(address, np.float64(0.0)), (SLOT_CELLS * CELL_WORDS,))  # type: ignore[no-any-return]
+
+
+@inline
+def words(address: Scalar) -> U8:
+    """The slot at ``address`` as 8 * 4096 uint64 words."""
+    return carray(_pointer(address, np.uint64(0)), (SLOT_CELLS * CELL_WORDS,))  # type: ignore[no-any-return]
+
+
+@kernel
+def _copy_known_rows(source: Scalar, target: Scalar) -> None:
+    """Copy a slot onto a zeroed one. Rows without a known cell are left alone: their page is never touched."""
+    a = words(source)
+    b = words(target)
+    row = TILE_CELLS * CELL_WORDS
+    for j in range(TILE_CELLS):
+        known = np.uint64(0)
+        for i in range(TILE_CELLS):
+            known |= a[j * row + i * CELL_WORDS]
+        if known != 0:
+            for k in range(row):
+                b[j * row + k] = a[j * row + k]
+
+
+@kernel
+def _count_known(address: Scalar) -> int:
+    a = words(address)
+    known = 0
+    for n in range(SLOT_CELLS):
+        if a[n * CELL_WORDS] & np.uint64(0xFFFFFFFF) != 0:
+            known += 1
+    return known
+
+
+class SlotPool:
+    """Slots of 256 KiB, handed out zeroed, counted by pins, given back to the system when freed.
+
+    Slabs are private anonymous maps of zero pages: one row of 64 cells is one page, so that a tile of which only a
+    part is known costs only the rows that were written. A slab never moves and is never unmapped while a view of it
+    is alive. All methods but :meth:`records` and :meth:`known_cells` are the writer's, under its lock.
+    """
+
+    def __init__(self) -> None:
+        self._slabs: list[mmap.mmap] = []
+        self._free: list[int] = []
+        self.address = np.zeros(0, np.uint64)
+        self.pins = np.zeros(0, np.int32)
+        self.live = np.zeros(0, np.bool_)
+
+    @property
+    def used(self) -> int:
+        """Slots that are not free."""
+        return len(self.address) - len(self._free)
+
+    def _grow(self) -> None:
+        slab = mmap.mmap(-1, SLAB_SLOTS * SLOT_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        first = len(self.address)
+        start = np.frombuffer(slab, np.uint8).ctypes.data
+        self._slabs.append(slab)
+        self.address = np.append(self.address, np.uint64(start) + np.arange(SLAB_SLOTS, dtype=np.uint64) * SLOT_BYTES)
+        self.pins = np.append(self.pins, np.zeros(SLAB_SLOTS, np.int32))
+        self.live = np.append(self.live, np.zeros(SLAB_SLOTS, np.bool_))
+        self._free.extend(range(first + SLAB_SLOTS - 1, first - 1, -1))
+
+    def allocate(self, number: int) -> I4:
+        """``number`` zeroed slots, live. All or none: MemoryError leaves the pool as it was, or larger."""
+        while len(self._free) < number:
+            self._grow()
+        taken = self._free[len(self._free) - number :]
+        del self._free[len(self._free) - number :]
+        slots = np.array(taken[::-1], np.int32)
+        self.live[slots] = True
+        return slots
+
+    def release(self, slots: I4) -> None:
+        """The map no longer uses these slots. Those that are pinned are freed by their last unpin."""
+        self.live[slots] = False
+        self._free_dead(slots)
+
+    def pin(self, slots: I4) -> None:
+        """Keep what these (different) slots hold unchanged until they are unpinned as often."""
+        self.pins[slots] += 1
+
+    def unpin(self, slots: I4) -> None:
+        """Undo one :meth:`pin`."""
+        self.pins[slots] -= 1
+        self._free_dead(slots)
+
+    def _free_dead(self, slots: I4) -> None:
+        dead = slots[(self.pins[slots] == 0) & ~self.live[slots]]
+        for slot in dead.tolist():
+            slab, place = divmod(slot, SLAB_SLOTS)
+            # The pages go back to the system; the next reader of them sees zeros.
+            self._slabs[slab].madvise(mmap.MADV_DONTNEED, place * SLOT_BYTES, SLOT_BYTES)
+            self._free.append(slot)
+
+    def copy(self, source: int, target: int) -> None:
+        """Copy slot ``source`` onto the zeroed slot ``target``."""
+        _copy_known_rows(self.address[source], self.address[target])
+
+    def records(self, slot: int) -> Records:
+        """The slot's (4096,) CELL_DTYPE records, j outer, i inner; a read-only view, not a copy."""
+        slab, place = divmod(int(slot), SLAB_SLOTS)
+        view = np.frombuffer(self._slabs[slab], CELL_DTYPE, SLOT_CELLS, place * SLOT_BYTES)
+        view.flags.writeable = False
+        return view
+
+    def store(self, slot: int, records: Records) -> None:
+        """Write (4096,) records into a zeroed slot; rows without a known cell are left alone."""
+        slab, place = divmod(int(slot), SLAB_SLOTS)
+        target = np.frombuffer(self._slabs[slab], CELL_DTYPE, SLOT_CELLS, place * SLOT_BYTES)
+        rows = records.reshape(TILE_CELLS, TILE_CELLS)
+        known = (rows["count"] != 0).any(axis=1)
+        target.reshape(TILE_CELLS, TILE_CELLS)[known] = rows[known]
+
+    def known_cells(self, slot: int) -> int:
+        """Number of the slot's cells with a count."""
+        return _count_known(self.address[slot])
