@@ -1,0 +1,84 @@
+"""Coarser levels: four cells of one level become one cell of the next (Chan's pairwise formula)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from roughmap.cell import CELL_DTYPE, TILE_CELLS
+from roughmap.jit import kernel
+
+HALF = TILE_CELLS // 2
+
+COUNT_LIMIT = (1 << 32) - 1
+"""Counts stop here instead of starting again at 0: 0 would say that the cell is unknown."""
+
+
+@kernel
+def _merge_quadrant(
+    words: npt.NDArray[np.float64],
+    halves: npt.NDArray[np.uint32],
+    out_words: npt.NDArray[np.float64],
+    out_halves: npt.NDArray[np.uint32],
+    column: int,
+    row: int,
+) -> None:
+    for j in range(HALF):
+        for i in range(HALF):
+            parent = (row + j) * TILE_CELLS + column + i
+            first = 2 * j * TILE_CELLS + 2 * i
+            known = False
+            for child in (first, first + 1, first + TILE_CELLS, first + TILE_CELLS + 1):
+                if halves[child, 0] == 0:
+                    continue
+                if not known:
+                    known = True
+                    out_halves[parent, 0] = halves[child, 0]
+                    out_halves[parent, 1] = halves[child, 1]
+                    for k in range(1, 8):
+                        out_words[parent, k] = words[child, k]
+                    continue
+                out_halves[parent, 0] = min(np.int64(out_halves[parent, 0]) + np.int64(halves[child, 0]), COUNT_LIMIT)
+                if halves[child, 1] > out_halves[parent, 1]:  # noqa: PLR1730 - a comparison keeps the unsigned type
+                    out_halves[parent, 1] = halves[child, 1]
+                weight = out_words[parent, 1]
+                more = words[child, 1]
+                total = weight + more
+                share = more / total
+                delta = words[child, 3] - out_words[parent, 3]
+                out_words[parent, 1] = total
+                out_words[parent, 2] += words[child, 2]
+                out_words[parent, 3] += delta * share
+                out_words[parent, 4] += words[child, 4] + weight * share * (delta * delta)
+                out_words[parent, 5] = min(out_words[parent, 5], words[child, 5])
+                out_words[parent, 6] = max(out_words[parent, 6], words[child, 6])
+                out_words[parent, 7] += words[child, 7]
+
+
+def merge(children: Sequence[npt.NDArray[np.void] | None]) -> npt.NDArray[np.void]:
+    """The tile of the next level over four tiles, merged cell by cell.
+
+    ``children`` are the tiles (2x, 2y), (2x+1, 2y), (2x, 2y+1), (2x+1, 2y+1), each 4096 records of ``CELL_DTYPE`` with
+    j outer and i inner (any shape), or None where there is none. In a cell the first known child is copied as it is;
+    each further one B is joined to what is there, A, by
+
+        W = Wa + Wb,  mean = mean_a + delta Wb / W,  m2 = m2_a + m2_b + delta^2 Wa Wb / W,  delta = mean_b - mean_a
+
+    with sums of ``count`` (held at 2^32 - 1), ``weight_sq`` and ``inv_cf``, and the extremes of ``updated``, ``min``
+    and ``max``. Returns (64, 64) records, row = j along y, column = i along x, read-only.
+    """
+    out = np.zeros((TILE_CELLS, TILE_CELLS), dtype=CELL_DTYPE)
+    out_words, out_halves = _views(out)
+    for place, child in enumerate(children):
+        if child is not None:
+            words, halves = _views(child)
+            _merge_quadrant(words, halves, out_words, out_halves, (place & 1) * HALF, (place >> 1) * HALF)
+    out.flags.writeable = False
+    return out
+
+
+def _views(records: npt.NDArray[np.void]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint32]]:
+    """The same 4096 records as (4096, 8) float64 and as (4096, 16) unsigned words."""
+    cells = TILE_CELLS * TILE_CELLS
+    flat = records.reshape(cells)
+    return flat.view(np.float64).reshape(cells, 8), flat.view(np.uint32).reshape(cells, 16)

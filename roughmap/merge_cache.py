@@ -1,0 +1,61 @@
+"""Merged tiles, kept from one reading to the next."""
+
+import threading
+from collections import OrderedDict, deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from roughmap.tiles import TileTable
+
+CACHE_BYTES = 64 << 20
+"""256 merged tiles. A tile of level 1 costs some 50 us to make again, one of level 7 reads 4 GB of cells at most."""
+
+Key = tuple[object, ...]
+Array = npt.NDArray[Any]
+
+
+class MergeCache:
+    """What was derived from the map for the levels above 0, shared by all its readers, of any thread.
+
+    The keys say of which state of the map an entry tells, so nothing is ever outdated; what was not asked for the
+    longest goes first. ``limit`` bounds the bytes of all arrays together.
+
+    Attributes:
+        generation: part of every key; whoever changes cells without raising the map's sequence (a reset, a tile taken
+            from a store) raises it, under the map's lock.
+        abandoned: slots still pinned by readings that were never closed; the next reading gives them back.
+    """
+
+    def __init__(self, limit: int = CACHE_BYTES) -> None:
+        self.limit = limit
+        self.generation = 0
+        self.abandoned: deque[tuple[TileTable, npt.NDArray[np.int32]]] = deque()
+        self._arrays: OrderedDict[Key, Array] = OrderedDict()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def get(self, key: Key, make: Callable[[], Array]) -> Array:
+        """The array kept under ``key``, else what ``make`` returns, which is then kept and must not change any more.
+
+        ``make`` runs outside the lock: two threads may make the same array at once, and one of the two is kept.
+        """
+        with self._lock:
+            if key in self._arrays:
+                self._arrays.move_to_end(key)
+                return self._arrays[key]
+        made = make()
+        with self._lock:
+            if key not in self._arrays and made.nbytes <= self.limit:
+                self._arrays[key] = made
+                self._bytes += made.nbytes
+            while self._bytes > self.limit:
+                self._bytes -= self._arrays.popitem(last=False)[1].nbytes
+        return made
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays kept now."""
+        return self._bytes
