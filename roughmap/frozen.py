@@ -6,16 +6,14 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 import xxhash
 
 from roughmap import layers, levels, terrain
+from roughmap.arrays import F8, I4, I8, Records
 from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT
 from roughmap.merge_cache import MergeCache
 from roughmap.tiles import TileTable
 
-Plane = npt.NDArray[np.float64]
-Records = npt.NDArray[np.void]
 TileBox = tuple[int, int, int, int]
 
 TILE_LIMIT = 1 << (31 - TILE_SHIFT)
@@ -28,14 +26,14 @@ UNKNOWN_TILE.flags.writeable = False
 class _Index:
     """Tiles of one level, ascending by signed (x, y), found by bisection."""
 
-    def __init__(self, x: npt.NDArray[np.int32], y: npt.NDArray[np.int32], sequence: npt.NDArray[np.int64]) -> None:
+    def __init__(self, x: I4, y: I4, sequence: I8) -> None:
         self.x = x
         self.y = y
         self.sequence = sequence
         self._packed = self._pack(x, y)
 
     @staticmethod
-    def _pack(x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
+    def _pack(x: I4, y: I4) -> I8:
         return (x.astype(np.int64) << 32) + y
 
     def find(self, x: int, y: int) -> int:
@@ -81,7 +79,7 @@ class Frozen:
         self._table = table
         self._cache = cache
         self._generation = cache.generation
-        self._slots: npt.NDArray[np.int32] | None = None
+        self._slots: I4 | None = None
         while cache.abandoned:
             left, slots = cache.abandoned.popleft()
             left.unpin(slots)
@@ -99,8 +97,8 @@ class Frozen:
         if box is not None:
             x0, y0, x1, y1 = box
             inside = (asked.x >= x0) & (asked.x <= x1) & (asked.y >= y0) & (asked.y <= y1)
-        self.tiles: npt.NDArray[np.int32] = np.column_stack((asked.x[inside], asked.y[inside]))
-        self.sequences: npt.NDArray[np.int64] = asked.sequence[inside]
+        self.tiles: I4 = np.column_stack((asked.x[inside], asked.y[inside]))
+        self.sequences: I8 = asked.sequence[inside]
         table.pin(slots)
         self._slots = slots
 
@@ -161,7 +159,7 @@ class Frozen:
         names: Iterable[str],
         height_tolerance: float = 0.05,
         limits: Mapping[str, float] | None = None,
-    ) -> dict[str, Plane]:
+    ) -> dict[str, F8]:
         """Layers of a tile of the level, in the asked order, each (64, 64) float64; see ``layers.LAYERS``.
 
         ``height_tolerance`` is the full width of ``confidence_level`` in metres; ``limits`` those of
@@ -178,7 +176,7 @@ class Frozen:
 
     def _neighbour_layers(
         self, x: int, y: int, names: tuple[str, ...], tolerance: float, limits: layers.GroundLimits
-    ) -> dict[str, Plane]:
+    ) -> dict[str, F8]:
         found = {}
         wanted = "traversability" in names
         if wanted and self.level > 0:
@@ -199,7 +197,7 @@ class Frozen:
         spread = layers.cell_layers(UNKNOWN_TILE if records is None else records, names, tolerance, 0)
         return terrain.derive(mean, side, limits, *spread.values())
 
-    def _traversability(self, z: int, x: int, y: int, tolerance: float, limits: layers.GroundLimits) -> Plane | None:
+    def _traversability(self, z: int, x: int, y: int, tolerance: float, limits: layers.GroundLimits) -> F8 | None:
         """Traversability of a tile of level z, the least of its children's above level 0; None if absent."""
         place = self._index[z].find(x, y)
         if place < 0:
@@ -207,13 +205,13 @@ class Frozen:
         if z == 0:
             return self._ground(0, x, y, tolerance, limits).traversability
 
-        def make() -> Plane:
+        def make() -> F8:
             beneath = [self._traversability(z - 1, cx, cy, tolerance, limits) for cx, cy in _children(x, y)]
             return terrain.coarsen_least(beneath)
 
         return self._cache.get((*self._state(z, x, y, place), tolerance, limits), make)
 
-    def _means(self, z: int, x: int, y: int) -> Plane:
+    def _means(self, z: int, x: int, y: int) -> F8:
         """The (66, 66) mean heights of a tile with one cell around it, NaN where unknown."""
         size = TILE_CELLS + 2
         out = np.full((size, size), np.nan)

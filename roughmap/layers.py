@@ -5,10 +5,9 @@ from functools import cached_property
 from math import inf, isfinite
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import erf
 
-Plane = npt.NDArray[np.float64]
+from roughmap.arrays import F8, Flags, Records
 
 CELL_LAYERS = (
     "mean_height",
@@ -56,14 +55,12 @@ def check_tolerance(height_tolerance: float) -> float:
     return tolerance
 
 
-def unknown_plane(name: str, shape: tuple[int, ...]) -> Plane:
+def unknown_plane(name: str, shape: tuple[int, ...]) -> F8:
     """A layer of cells that no point has touched: NaN, but 0 for ``count`` and ``weight``."""
     return np.full(shape, 0.0 if name in ZERO_WHERE_UNKNOWN else np.nan)
 
 
-def cell_layers(
-    records: npt.NDArray[np.void], names: Iterable[str], height_tolerance: float, newest_updated: int
-) -> dict[str, Plane]:
+def cell_layers(records: Records, names: Iterable[str], height_tolerance: float, newest_updated: int) -> dict[str, F8]:
     """The asked ones of ``CELL_LAYERS``, in the asked order, float64 in the shape of ``records``.
 
     ``records`` are of ``CELL_DTYPE``, of any level; metres and seconds; NaN where not known. ``height_tolerance`` is
@@ -77,48 +74,48 @@ def cell_layers(
 class _Cells:
     """The columns of some records and what several layers share, each computed when it is first asked for."""
 
-    def __init__(self, records: npt.NDArray[np.void], height_tolerance: float, newest_updated: int) -> None:
+    def __init__(self, records: Records, height_tolerance: float, newest_updated: int) -> None:
         self.records = records
         self.height_tolerance = height_tolerance
         self.newest_updated = newest_updated
 
     @cached_property
-    def unknown(self) -> npt.NDArray[np.bool_]:
-        unknown: npt.NDArray[np.bool_] = self.records["count"] == 0
+    def unknown(self) -> Flags:
+        unknown: Flags = self.records["count"] == 0
         return unknown
 
-    def known(self, values: npt.NDArray[np.float64]) -> Plane:
+    def known(self, values: F8) -> F8:
         """A fresh plane of ``values``, NaN in unknown cells."""
         return np.where(self.unknown, np.nan, values)
 
     @cached_property
-    def expected_count(self) -> Plane:
+    def expected_count(self) -> F8:
         """n = W^2 / W2."""
         weight = self.records["weight"]
         with np.errstate(invalid="ignore"):
             return self.known(weight * weight / self.records["weight_sq"])
 
     @cached_property
-    def std_dev(self) -> Plane:
+    def std_dev(self) -> F8:
         """Eq. 6 for weights: sqrt(m2 / (W - W2/W)); NaN where there is no more than one point to speak of."""
         weight = self.records["weight"]
         with np.errstate(invalid="ignore", divide="ignore"):
             spread = np.sqrt(self.records["m2"] / (weight - self.records["weight_sq"] / weight))
             return np.where((self.records["count"] >= 2) & (self.expected_count > SINGLE_POINT), spread, np.nan)
 
-    def confidence_level(self) -> Plane:
+    def confidence_level(self) -> F8:
         """Eq. 11: 2F(x) - 1 = erf(x / sqrt 2) with x = d sqrt(n) / (2 std_dev); erf(inf) = 1 where std_dev is 0."""
         with np.errstate(divide="ignore"):
             half_widths = self.height_tolerance * np.sqrt(self.expected_count) / (2.0 * self.std_dev)
-        level: Plane = erf(half_widths / np.sqrt(2.0))
+        level: F8 = erf(half_widths / np.sqrt(2.0))
         return level
 
-    def confidence_factor(self) -> Plane:
+    def confidence_factor(self) -> F8:
         """Eq. 15, 16: 1 / inv_cf."""
         with np.errstate(divide="ignore"):
             return self.known(1.0 / self.records["inv_cf"])
 
-    def age(self) -> Plane:
+    def age(self) -> F8:
         """Seconds from a cell's `updated` to the map's newest."""
         return self.known(float(self.newest_updated) - self.records["updated"])
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from roughmap.arrays import F8, Records
 from roughmap.cell import CELL_DTYPE, TILE_CELLS
 from roughmap.jit import kernel
 
@@ -16,9 +17,9 @@ COUNT_LIMIT = (1 << 32) - 1
 
 @kernel
 def _merge_quadrant(
-    words: npt.NDArray[np.float64],
+    words: F8,
     halves: npt.NDArray[np.uint32],
-    out_words: npt.NDArray[np.float64],
+    out_words: F8,
     out_halves: npt.NDArray[np.uint32],
     column: int,
     row: int,
@@ -38,9 +39,9 @@ def _merge_quadrant(
                     for k in range(1, 8):
                         out_words[parent, k] = words[child, k]
                     continue
-                out_halves[parent, 0] = min(np.int64(out_halves[parent, 0]) + np.int64(halves[child, 0]), COUNT_LIMIT)
-                if halves[child, 1] > out_halves[parent, 1]:  # noqa: PLR1730 - a comparison keeps the unsigned type
-                    out_halves[parent, 1] = halves[child, 1]
+                count = np.int64(out_halves[parent, 0]) + np.int64(halves[child, 0])
+                out_halves[parent, 0] = COUNT_LIMIT if count > COUNT_LIMIT else count
+                out_halves[parent, 1] = max(out_halves[parent, 1], halves[child, 1])
                 weight = out_words[parent, 1]
                 more = words[child, 1]
                 total = weight + more
@@ -55,7 +56,7 @@ def _merge_quadrant(
                 out_words[parent, 7] += words[child, 7]
 
 
-def merge(children: Sequence[npt.NDArray[np.void] | None]) -> npt.NDArray[np.void]:
+def merge(children: Sequence[Records | None]) -> Records:
     """The tile of the next level over four tiles, merged cell by cell.
 
     ``children`` are the tiles (2x, 2y), (2x+1, 2y), (2x, 2y+1), (2x+1, 2y+1), each 4096 records of ``CELL_DTYPE`` with
@@ -77,7 +78,7 @@ def merge(children: Sequence[npt.NDArray[np.void] | None]) -> npt.NDArray[np.voi
     return out
 
 
-def _views(records: npt.NDArray[np.void]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint32]]:
+def _views(records: Records) -> tuple[F8, npt.NDArray[np.uint32]]:
     """The same 4096 records as (4096, 8) float64 and as (4096, 16) unsigned words."""
     cells = TILE_CELLS * TILE_CELLS
     flat = records.reshape(cells)

@@ -3,14 +3,11 @@
 from collections.abc import Iterable, Iterator, Mapping
 from math import ceil, floor, isfinite
 
-import numpy as np
-import numpy.typing as npt
-
+from roughmap.arrays import F8
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
 from roughmap.frozen import Frozen
 from roughmap.layers import check_limits, check_names, check_tolerance, unknown_plane
 
-Plane = npt.NDArray[np.float64]
 Box = tuple[float, float, float, float]
 CellBox = tuple[int, int, int, int]
 
@@ -21,11 +18,11 @@ CELL_SLACK = 1e-6
 """In cells: keeps an edge that is meant to lie on a border there, such as 0.3 / 0.1 = 2.9999999999999996."""
 
 
-class Region(Mapping[str, Plane]):
+class Region(Mapping[str, F8]):
     """Layers over a rectangle of cells, by name: (ny, nx) float64, row 0 at the lowest y, column 0 at the lowest x."""
 
     def __init__(
-        self, layers: Mapping[str, Plane], *, cells: CellBox, cell_size: float, sequence: int, level: int
+        self, layers: Mapping[str, F8], *, cells: CellBox, cell_size: float, sequence: int, level: int
     ) -> None:
         self._layers = dict(layers)
         self.cells = cells
@@ -44,7 +41,7 @@ class Region(Mapping[str, Plane]):
         i0, j0, i1, j1 = self.cells
         return j1 - j0, i1 - i0
 
-    def __getitem__(self, name: str) -> Plane:
+    def __getitem__(self, name: str) -> F8:
         return self._layers[name]
 
     def __iter__(self) -> Iterator[str]:

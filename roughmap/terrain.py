@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from math import atan, inf, isnan, nan, sqrt
 
 import numpy as np
-import numpy.typing as npt
 
+from roughmap.arrays import F8
 from roughmap.jit import inline, kernel
 from roughmap.layers import GroundLimits
-
-Plane = npt.NDArray[np.float64]
 
 NO_PLANE = np.empty((0, 0))
 """Stands for a plane that is not needed."""
@@ -26,11 +24,11 @@ UNLIMITED: GroundLimits = (inf, inf, inf, inf, inf)
 class Terrain:
     """The layers that need neighbours, each (ny, nx) float64, NaN where not known."""
 
-    gradient_x: Plane
-    gradient_y: Plane
-    slope: Plane
-    step_height: Plane
-    traversability: Plane
+    gradient_x: F8
+    gradient_y: F8
+    slope: F8
+    step_height: F8
+    traversability: F8
     """Empty (0, 0) unless limits were given."""
 
 
@@ -63,17 +61,17 @@ def _worse(least: float, term: float) -> float:
 
 @kernel
 def _derive(
-    mean: Plane,
+    mean: F8,
     side: float,
     limits: GroundLimits,
-    std_dev: Plane,
-    extent: Plane,
-    confidence: Plane,
-    gradient_x: Plane,
-    gradient_y: Plane,
-    slope: Plane,
-    step_height: Plane,
-    traversability: Plane,
+    std_dev: F8,
+    extent: F8,
+    confidence: F8,
+    gradient_x: F8,
+    gradient_y: F8,
+    slope: F8,
+    step_height: F8,
+    traversability: F8,
 ) -> None:
     ny, nx = gradient_x.shape
     wanted = traversability.size > 0
@@ -124,12 +122,12 @@ def _derive(
 
 
 def derive(
-    mean: Plane,
+    mean: F8,
     side: float,
     limits: GroundLimits | None = None,
-    std_dev: Plane = NO_PLANE,
-    extent: Plane = NO_PLANE,
-    confidence: Plane = NO_PLANE,
+    std_dev: F8 = NO_PLANE,
+    extent: F8 = NO_PLANE,
+    confidence: F8 = NO_PLANE,
 ) -> Terrain:
     """Gradients, slope, step height and, where ``limits`` are given, traversability.
 
@@ -162,7 +160,7 @@ def derive(
     return Terrain(gradient_x, gradient_y, slope, step, traversability)
 
 
-def coarsen_least(children: Sequence[Plane | None]) -> Plane:
+def coarsen_least(children: Sequence[F8 | None]) -> F8:
     """Traversability of a tile above level 0 from its four children tiles: the least known of each 2 x 2 cells.
 
     ``children`` are (n, n) planes in the order (2x, 2y), (2x+1, 2y), (2x, 2y+1), (2x+1, 2y+1), None where there is no
