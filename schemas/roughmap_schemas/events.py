@@ -1,0 +1,83 @@
+"""Events: each change of the map and each decision on a cloud, as the log holds them and as they are published."""
+
+import json
+from typing import Annotated, Final, Literal
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from roughmap_schemas.faults import UnknownEventKind
+from roughmap_schemas.messages import BadJson, Hex32, Message, Number, model_bytes
+from roughmap_schemas.reasons import CloudReason, PointReason
+
+RESERVED_KINDS: Final = ("forget", "edit", "remap")
+"""Kinds that a later version may write; to this one they are as unknown as any other."""
+
+Input = Annotated[int, Field(ge=1)]
+
+
+class IntegrationEvent(Message):
+    """What was done with one cloud.
+
+    ``poses`` are (odometry input, transform input or 0), ascending by stamp: replay places the cloud with exactly
+    these. ``sequence`` is the map's after the event; it rose by one if ``accepted`` is at least 1.
+    """
+
+    kind: Literal["integration"] = "integration"
+    epoch: Number
+    input: Input
+    robot: str
+    poses: list[tuple[Input, Number]]
+    outcome: Literal["integrated"] | CloudReason
+    accepted: Number
+    rejected: dict[PointReason, Number]
+    sequence: Number
+
+
+class CheckpointEvent(Message):
+    """The map's digest at a sequence."""
+
+    kind: Literal["checkpoint"] = "checkpoint"
+    epoch: Number
+    sequence: Number
+    digest: Hex32
+
+
+class ResetEvent(Message):
+    """The map was emptied; ``epoch`` and ``sequence`` are those that begin with it."""
+
+    kind: Literal["reset"] = "reset"
+    epoch: Number
+    sequence: Number
+
+
+Event = IntegrationEvent | CheckpointEvent | ResetEvent
+
+EVENT: Final[TypeAdapter[Event]] = TypeAdapter(Annotated[Event, Field(discriminator="kind")])
+KINDS: Final = ("integration", "checkpoint", "reset")
+
+
+def encode_event(event: Event) -> bytes:
+    """Give the event's JSON, ``kind`` first."""
+    return model_bytes(event)
+
+
+def decode_event(payload: bytes) -> Event:
+    """Read an event; raises ``UnknownEventKind``, or ``BadJson`` for what is no event at all."""
+    try:
+        return EVENT.validate_json(payload)
+    except ValidationError as error:
+        kind = _kind(payload)
+        if kind is not None and kind not in KINDS:
+            raise UnknownEventKind(kind) from None
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"]) or "it"
+        raise BadJson(f"expected an Event in JSON: {where}: {first['msg']}") from None
+
+
+def _kind(payload: bytes) -> str | None:
+    try:
+        value = json.loads(payload)
+    except (ValueError, RecursionError):
+        return None
+    kind = value.get("kind") if isinstance(value, dict) else None
+    return kind if isinstance(kind, str) else None

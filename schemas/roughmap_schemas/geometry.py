@@ -1,0 +1,103 @@
+"""Stamps, vectors and quaternions on their way between protobuf and numbers."""
+
+import math
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roughmap_schemas.faults import bad_message
+
+SECOND_NS: Final = 1_000_000_000
+MAX_STAMP_S: Final = 2**32
+"""A cell keeps whole seconds in 32 bits."""
+
+MIN_NORM: Final = 1e-6
+"""A quaternion shorter than this has no direction worth believing."""
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Matrix = tuple[Vector, Vector, Vector]
+
+
+def read_stamp(message: Any, what: str) -> int:
+    """Give a message's ``timestamp`` in nanoseconds; ``MessageFault`` outside [0, 2^32 s). An unset one is 0."""
+    seconds, nanos = message.timestamp.seconds, message.timestamp.nanos
+    if not (0 <= seconds < MAX_STAMP_S and 0 <= nanos < SECOND_NS):
+        raise bad_message(
+            f"{what}.timestamp: expected 0 <= seconds < 2^32 and 0 <= nanos < 10^9; found {seconds} s {nanos} ns"
+        )
+    return int(seconds) * SECOND_NS + int(nanos)
+
+
+def write_stamp(message: Any, stamp_ns: int) -> None:
+    """Set a message's ``timestamp``; ValueError outside [0, 2^32 s)."""
+    if not 0 <= stamp_ns < MAX_STAMP_S * SECOND_NS:
+        raise ValueError(f"stamp_ns: expected 0 <= stamp_ns < 2^32 s, found {stamp_ns}")
+    message.timestamp.seconds, message.timestamp.nanos = divmod(int(stamp_ns), SECOND_NS)
+
+
+def read_vector(vector: Any, what: str) -> Vector:
+    """Give x, y, z; ``MessageFault`` unless all are finite."""
+    value = (float(vector.x), float(vector.y), float(vector.z))
+    if not all(map(math.isfinite, value)):
+        raise bad_message(f"{what}: expected three finite numbers; found {value}")
+    return value
+
+
+def read_rotation(quaternion: Any, what: str) -> Quaternion:
+    """Give a unit quaternion x, y, z, w; ``MessageFault`` unless finite and of norm at least 1e-6."""
+    value = (float(quaternion.x), float(quaternion.y), float(quaternion.z), float(quaternion.w))
+    unit = normalised(value)
+    if unit is None:
+        raise bad_message(f"{what}: expected a finite quaternion of norm at least 1e-6; found {value}")
+    return unit
+
+
+def normalised(value: Quaternion) -> Quaternion | None:
+    """Give the quaternion at length one; None if its norm is below 1e-6 or not finite."""
+    x, y, z, w = value
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    if not MIN_NORM <= norm < math.inf:
+        return None
+    return x / norm, y / norm, z / norm, w / norm
+
+
+def rotation_matrix(unit: Quaternion) -> Matrix:
+    """Give the rotation matrix of a unit quaternion, written out: the same bits everywhere."""
+    x, y, z, w = unit
+    return (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
+        (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
+        (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
+    )
+
+
+def move(
+    points: NDArray[np.floating[Any]], translation: Vector, unit: Quaternion, *, keep_zero_rows: bool
+) -> NDArray[np.float64]:
+    """Turn and shift points (N, 3): a new float64 array.
+
+    Written out by coordinate in a fixed order, since matrix products give other bits for other shapes. With
+    ``keep_zero_rows`` the rows 0, 0, 0 stay as they are.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = rotation_matrix(unit)
+    x, y, z = (points[:, axis].astype(np.float64) for axis in range(3))
+    moved = np.empty((len(points), 3))
+    with np.errstate(all="ignore"):  # points that are not finite are counted later; here they pass through
+        moved[:, 0] = ((a * x + b * y) + c * z) + translation[0]
+        moved[:, 1] = ((d * x + e * y) + f * z) + translation[1]
+        moved[:, 2] = ((g * x + h * y) + i * z) + translation[2]
+    if keep_zero_rows:
+        moved[(x == 0.0) & (y == 0.0) & (z == 0.0)] = 0.0
+    return moved
+
+
+def write_vector(message: Any, value: Any) -> None:
+    """Set x, y, z."""
+    message.x, message.y, message.z = (float(part) for part in value)
+
+
+def write_rotation(message: Any, value: Any) -> None:
+    """Set x, y, z, w."""
+    message.x, message.y, message.z, message.w = (float(part) for part in value)

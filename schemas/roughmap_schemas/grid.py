@@ -1,0 +1,127 @@
+"""Layers of a tile or a region: ``foxglove.Grid`` and arrays."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+import zstandard
+from foxglove_schemas_protobuf.Grid_pb2 import Grid as GridMessage
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from numpy.typing import NDArray
+
+from roughmap_schemas.faults import bad_message, too_large
+from roughmap_schemas.geometry import read_stamp, read_vector, write_stamp
+from roughmap_schemas.wire import check_outline, parse
+
+WHAT: Final = "foxglove.Grid"
+TYPES: Final = {"f4": PackedElementField.FLOAT32, "f8": PackedElementField.FLOAT64}
+DTYPES: Final[Mapping[int, np.dtype[Any]]] = {7: np.dtype("<f4"), 8: np.dtype("<f8")}
+
+MAX_DATA: Final = 1 << 30
+"""Bytes that a reader unpacks at most, unless it says otherwise: 2^26 cells of four float32 layers."""
+
+Compression = Literal["zstd"] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grid:
+    """A decoded grid: ``layers`` in the message's order, each (rows, columns), row 0 at the lowest y.
+
+    The arrays are read-only views of one buffer. ``origin`` is the lowest corner of cell (0, 0) and ``cell_size`` the
+    cells' side, in metres in ``frame_id``.
+    """
+
+    layers: dict[str, NDArray[np.floating[Any]]]
+    origin: tuple[float, float]
+    cell_size: float
+    stamp_ns: int
+    frame_id: str
+
+
+def encode_grid(
+    layers: Mapping[str, NDArray[np.floating[Any]]],
+    origin: tuple[float, float],
+    cell_size: float,
+    stamp_ns: int,
+    frame_id: str,
+    dtype: Literal["f4", "f8"] = "f4",
+    compression: Compression = None,
+) -> bytes:
+    """Make a grid's payload from layers (rows, columns) of one shape, a cell's values together. Raises ValueError."""
+    shapes = {layer.shape for layer in layers.values()}
+    if len(shapes) != 1 or len(shape := shapes.pop()) != 2:
+        raise ValueError("layers: expected at least one, all of one shape (rows, columns)")
+    packed = np.empty((*shape, len(layers)), np.dtype(f"<{dtype}"))
+    message = GridMessage()
+    with np.errstate(over="ignore"):  # what float32 can't hold becomes infinite
+        for number, (name, layer) in enumerate(layers.items()):
+            packed[:, :, number] = layer
+            field = PackedElementField(name=name, offset=number * packed.itemsize, type=TYPES[dtype])
+            message.fields.append(field)
+    write_stamp(message, stamp_ns)
+    message.frame_id = frame_id
+    message.pose.position.x, message.pose.position.y = float(origin[0]), float(origin[1])
+    message.pose.orientation.w = 1.0
+    message.cell_size.x = message.cell_size.y = cell_size
+    message.column_count = shape[1]
+    message.cell_stride = packed.itemsize * len(layers)
+    message.row_stride = message.cell_stride * shape[1]
+    data = packed.tobytes()
+    message.data = zstandard.ZstdCompressor(level=3).compress(data) if compression == "zstd" else data
+    return bytes(message.SerializeToString())
+
+
+def decode_grid(payload: bytes, compression: Compression = None, *, max_data: int = MAX_DATA) -> Grid:
+    """Read a grid; raises ``MessageFault`` (``too_large``, ``bad_message``).
+
+    ``compression`` is what the reply's TileInfo says. ``max_data`` bounds the bytes of data, unpacked; what a
+    compressed one unpacks to is read from its frame and checked before.
+    """
+    check_outline(payload, GridMessage)
+    message = parse(payload, GridMessage)
+    columns, row_stride, cell_stride = message.column_count, message.row_stride, message.cell_stride
+    if not (columns and cell_stride and row_stride >= columns * cell_stride):
+        raise bad_message(
+            f"{WHAT}: expected columns within row_stride; found {columns} of {cell_stride} bytes in {row_stride}"
+        )
+    for field in message.fields:
+        if field.type not in DTYPES or field.offset + DTYPES[field.type].itemsize > cell_stride:
+            raise bad_message(f"{WHAT}.fields: expected floats within cell_stride; found {field.name[:40]!r}")
+    side = message.cell_size.x
+    if not (side == message.cell_size.y and 0.0 < side < math.inf):
+        raise bad_message(f"{WHAT}.cell_size: expected square cells; found {side}, {message.cell_size.y}")
+    x, y, _ = read_vector(message.pose.position, f"{WHAT}.pose.position")
+
+    data = _unpack(message.data, row_stride, compression, max_data)
+    shape = (len(data) // row_stride, columns)
+    layers: dict[str, NDArray[np.floating[Any]]] = {
+        field.name: np.ndarray(shape, DTYPES[field.type], data, field.offset, (row_stride, cell_stride))
+        for field in message.fields
+    }
+    if not layers or len(layers) != len(message.fields):
+        raise bad_message(f"{WHAT}.fields: expected names, each once; found {len(message.fields)} fields")
+    return Grid(layers, (x, y), side, read_stamp(message, WHAT), message.frame_id)
+
+
+def _unpack(data: bytes, row_stride: int, compression: Compression, max_data: int) -> bytes:
+    size = len(data)
+    if compression == "zstd":
+        try:
+            size = zstandard.frame_content_size(data)
+        except zstandard.ZstdError as error:
+            raise bad_message(f"{WHAT}.data: expected a zstd frame; found none ({error})") from None
+        if size < 0:
+            raise bad_message(f"{WHAT}.data: expected a zstd frame that tells its size; found none")
+    if size > max_data:
+        raise too_large(f"{WHAT}.data: expected at most {max_data} bytes; found {size}")
+    if size == 0 or size % row_stride:
+        raise bad_message(f"{WHAT}.data: expected whole rows of {row_stride} bytes; found {size}")
+    if compression != "zstd":
+        return data
+    try:
+        unpacked = zstandard.ZstdDecompressor().decompress(data, max_output_size=size, allow_extra_data=False)
+    except zstandard.ZstdError as error:
+        raise bad_message(f"{WHAT}.data: expected a zstd frame; found one that doesn't unpack ({error})") from None
+    return bytes(unpacked)

@@ -1,0 +1,264 @@
+"""Key expressions: made and taken apart from the same templates."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from roughmap_schemas.faults import ConfigFault, MessageFault, QueryFault
+from roughmap_schemas.reasons import QueryCode, Refusal
+
+NAME_PATTERN: Final = r"^[A-Za-z0-9_.-]{1,64}\Z"
+"""What a map, a robot and a service instance may be called."""
+
+NAME: Final = re.compile(NAME_PATTERN)
+NUMBER: Final = re.compile(r"-?(?:0|[1-9][0-9]{0,9})")
+"""A number in a key, at most ten digits; ``-0`` is taken out by hand."""
+
+TEMPLATES: Final[Mapping[str, str]] = {
+    "points": "robots/{robot}/points",
+    "odometry": "robots/{robot}/odometry",
+    "transform": "robots/{robot}/transform",
+    "trajectory": "robots/{robot}/trajectory",
+    "ingest_points": "maps/{map}/ingest/{robot}/points",
+    "ingest_odometry": "maps/{map}/ingest/{robot}/odometry",
+    "ingest_transform": "maps/{map}/ingest/{robot}/transform",
+    "tiles": "maps/{map}/tiles/{z}/{x}/{y}",
+    "region": "maps/{map}/region",
+    "cells": "maps/{map}/cells",
+    "updates": "maps/{map}/updates/{z}/{x}/{y}",
+    "events": "maps/{map}/events",
+    "status": "maps/{map}/status",
+    "control": "maps/{map}/control/{action}",
+    "alive": "maps/{map}/alive/{instance}",
+    "queries": "maps/{map}/queries",
+}
+"""Every key expression and its default. ``queries`` is a topic of the log only."""
+
+_FILLED: Final[Mapping[str, frozenset[str]]] = {
+    name: frozenset(re.findall(r"\{(\w+)\}", template)) - {"map"} for name, template in TEMPLATES.items()
+}
+
+Selected = tuple[int | None, int | None, int | None]
+"""Level, x and y of the tiles that a key expression asks for; None stands for any."""
+
+
+def check_template(name: str, template: str) -> None:
+    """Raise ``ConfigFault`` unless ``template`` is a key in which each placeholder is one whole chunk, once."""
+    chunks = template.split("/")
+    found = [chunk[1:-1] for chunk in chunks if chunk.startswith("{") and chunk.endswith("}")]
+    needed = sorted(_FILLED[name])
+    plain = [chunk for chunk in chunks if not (chunk.startswith("{") and chunk.endswith("}"))]
+    if not all(chunk and not set(chunk) & set("*$?#{}") for chunk in plain):
+        raise ConfigFault(f"keys.{name}: {template!r} is not a key (allowed: non-empty chunks joined by /, no * $ ? #)")
+    if sorted(set(found) - {"map"}) != needed or len(found) != len(set(found)):
+        wanted = ", ".join(f"{{{part}}}" for part in needed) or "no placeholder"
+        raise ConfigFault(f"keys.{name}: {template!r} must hold {wanted} once each, as whole chunks")
+
+
+def canonical_number(text: str) -> int | None:
+    """Read a number as keys write it (no ``+``, no leading zero, no ``-0``, within int32); None if it is not one."""
+    if not NUMBER.fullmatch(text) or text == "-0":
+        return None
+    value = int(text)
+    return value if -(2**31) <= value < 2**31 else None
+
+
+@dataclass(frozen=True, slots=True)
+class KeyForm:
+    """One key expression with its map's name filled in; ``make`` and ``parse`` are each other's inverse."""
+
+    name: str
+    chunks: tuple[str, ...]
+
+    def make(self, **values: object) -> str:
+        """Fill the placeholders; the caller gives each of them, and nothing else."""
+        return "/".join(str(values[chunk[1:-1]]) if chunk.startswith("{") else chunk for chunk in self.chunks)
+
+    def any(self) -> str:
+        """Give the key expression over all values."""
+        return "/".join("*" if chunk.startswith("{") else chunk for chunk in self.chunks)
+
+    def parse(self, key: str) -> dict[str, str] | None:
+        """Take a key apart; None if it is not of this form."""
+        parts = key.split("/")
+        if len(parts) != len(self.chunks):
+            return None
+        values: dict[str, str] = {}
+        for chunk, part in zip(self.chunks, parts, strict=True):
+            if chunk.startswith("{"):
+                values[chunk[1:-1]] = part
+            elif chunk != part:
+                return None
+        return values
+
+
+class Keys:
+    """All key expressions of one map.
+
+    Raises ``ConfigFault`` for a name or a template that can't be one.
+    """
+
+    def __init__(self, map_name: str, templates: Mapping[str, str] | None = None) -> None:
+        if not NAME.fullmatch(map_name):
+            raise ConfigFault(f"map.name: {map_name[:80]!r} must match {NAME_PATTERN}")
+        self.map_name = map_name
+        self._forms: dict[str, KeyForm] = {}
+        given = {**TEMPLATES, **(templates or {})}
+        for name, template in given.items():
+            if name not in TEMPLATES:
+                raise ConfigFault(f"keys.{name}: unknown (allowed: {', '.join(TEMPLATES)})")
+            check_template(name, template)
+            chunks = tuple(map_name if chunk == "{map}" else chunk for chunk in template.split("/"))
+            self._forms[name] = KeyForm(name, chunks)
+        self.points_any = self._forms["points"].any()
+        self.odometry_any = self._forms["odometry"].any()
+        self.transform_any = self._forms["transform"].any()
+        self.ingest_points_any = self._forms["ingest_points"].any()
+        self.ingest_odometry_any = self._forms["ingest_odometry"].any()
+        self.ingest_transform_any = self._forms["ingest_transform"].any()
+        self.tiles_any = self._forms["tiles"].any()
+        self.updates_any = self._forms["updates"].any()
+        self.alive_any = self._forms["alive"].any()
+        self.region = self._forms["region"].make()
+        self.cells = self._forms["cells"].make()
+        self.events = self._forms["events"].make()
+        self.status = self._forms["status"].make()
+        self.queries = self._forms["queries"].make()
+
+    def form(self, name: str) -> KeyForm:
+        """Give the form of that name (a key of ``TEMPLATES``)."""
+        return self._forms[name]
+
+    # Inputs ---------------------------------------------------------------------------------------------------------
+
+    def _robot(self, name: str, key: str) -> str:
+        values = self._forms[name].parse(key)
+        if values is None or not NAME.fullmatch(values["robot"]):
+            expected = self._forms[name].make(robot="{robot}")
+            raise MessageFault(
+                Refusal.BAD_KEY,
+                f"expected {expected} with a robot's name ({NAME_PATTERN}), no wildcard; found {key[:200]!r}",
+            )
+        return values["robot"]
+
+    def points(self, robot: str) -> str:
+        """Give the key of a robot's clouds."""
+        return self._forms["points"].make(robot=robot)
+
+    def parse_points(self, key: str) -> str:
+        """Give the robot of a cloud's key; ``MessageFault`` (``bad_key``) if it is none."""
+        return self._robot("points", key)
+
+    def odometry(self, robot: str) -> str:
+        """Give the key of a robot's poses."""
+        return self._forms["odometry"].make(robot=robot)
+
+    def parse_odometry(self, key: str) -> str:
+        """Give the robot of a pose's key; ``MessageFault`` (``bad_key``) if it is none."""
+        return self._robot("odometry", key)
+
+    def transform(self, robot: str) -> str:
+        """Give the key of a robot's frame transforms."""
+        return self._forms["transform"].make(robot=robot)
+
+    def parse_transform(self, key: str) -> str:
+        """Give the robot of a transform's key; ``MessageFault`` (``bad_key``) if it is none."""
+        return self._robot("transform", key)
+
+    def ingest_points(self, robot: str) -> str:
+        """Give the key under which a cloud is handed in for a receipt."""
+        return self._forms["ingest_points"].make(robot=robot)
+
+    def parse_ingest_points(self, key: str) -> str:
+        """Give the robot of an ingested cloud's key; ``MessageFault`` (``bad_key``) if it is none."""
+        return self._robot("ingest_points", key)
+
+    def ingest_odometry(self, robot: str) -> str:
+        """Give the key under which a pose is handed in for a receipt."""
+        return self._forms["ingest_odometry"].make(robot=robot)
+
+    def parse_ingest_odometry(self, key: str) -> str:
+        """Give the robot of an ingested pose's key; ``MessageFault`` (``bad_key``) if it is none."""
+        return self._robot("ingest_odometry", key)
+
+    def ingest_transform(self, robot: str) -> str:
+        """Give the key under which a transform is handed in for a receipt."""
+        return self._forms["ingest_transform"].make(robot=robot)
+
+    def parse_ingest_transform(self, key: str) -> str:
+        """Give the robot of an ingested transform's key; ``MessageFault`` (``bad_key``) if it is none."""
+        return self._robot("ingest_transform", key)
+
+    # Outputs --------------------------------------------------------------------------------------------------------
+
+    def tile(self, z: int, x: int, y: int) -> str:
+        """Give the key of a tile."""
+        return self._forms["tiles"].make(z=z, x=x, y=y)
+
+    def tiles(self, z: int | None = None, x: int | None = None, y: int | None = None) -> str:
+        """Give the key expression of the tiles with those numbers, None standing for any."""
+        return self._forms["tiles"].make(**{n: "*" if v is None else v for n, v in (("z", z), ("x", x), ("y", y))})
+
+    def parse_tile_selector(self, key: str, levels: int | None = None) -> Selected:
+        """Take the key expression of a tile query apart: each of level, x and y is a number or ``*`` (None).
+
+        Raises ``QueryFault``: ``bad_key`` for another form or a number that is not canonical, ``bad_level`` for a level
+        below 0 or not below ``levels``. ``**`` alone in place of all three numbers stands for ``*/*/*``.
+        """
+        return self._selected("tiles", key, levels)
+
+    def update(self, z: int, x: int, y: int) -> str:
+        """Give the key on which a changed tile is published."""
+        return self._forms["updates"].make(z=z, x=x, y=y)
+
+    def parse_update(self, key: str) -> tuple[int, int, int]:
+        """Give level, x and y of an update's key; ``QueryFault`` if it is none."""
+        z, x, y = self._selected("updates", key, None)
+        if z is None or x is None or y is None:
+            raise QueryFault(QueryCode.BAD_KEY, f"expected a key without wildcards; found {key[:200]!r}")
+        return z, x, y
+
+    def _selected(self, name: str, key: str, levels: int | None) -> Selected:
+        form = self._forms[name]
+        values = form.parse(key)
+        if values is None and key in self._double_wild(form):
+            return None, None, None
+        if values is None:
+            expected = form.make(z="{z}", x="{x}", y="{y}")
+            raise QueryFault(QueryCode.BAD_KEY, f"expected {expected}; found {key[:200]!r}")
+        numbers: dict[str, int | None] = {}
+        for part, text in values.items():
+            number = None if text == "*" else canonical_number(text)
+            if number is None and text != "*":
+                raise QueryFault(
+                    QueryCode.BAD_KEY,
+                    f"{part}: expected * or an int32 without +, leading zeros or -0; found {text[:80]!r}",
+                )
+            numbers[part] = number
+        z = numbers["z"]
+        if z is not None and (z < 0 or (levels is not None and z >= levels)):
+            allowed = f"0 to {levels - 1}" if levels is not None else "0 and above"
+            raise QueryFault(QueryCode.BAD_LEVEL, f"level: expected {allowed}; found {z}")
+        return z, numbers["x"], numbers["y"]
+
+    @staticmethod
+    def _double_wild(form: KeyForm) -> tuple[str, ...]:
+        """Give the forms with ``**`` that mean every tile, if the three numbers stand together at the end."""
+        if set(form.chunks[-3:]) != {"{z}", "{x}", "{y}"}:
+            return ()
+        head = "/".join(form.chunks[:-3])
+        return f"{head}/**", f"{head}/*/**"
+
+    def control(self, action: str) -> str:
+        """Give the key of an operator's action (``snapshot`` or ``reset``)."""
+        return self._forms["control"].make(action=action)
+
+    def alive(self, instance: str) -> str:
+        """Give the key of an instance's liveliness token."""
+        return self._forms["alive"].make(instance=instance)
+
+    def parse_alive(self, key: str) -> str | None:
+        """Give the instance of a token's key; None if it is another key."""
+        values = self._forms["alive"].parse(key)
+        return None if values is None else values["instance"]

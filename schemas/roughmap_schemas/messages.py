@@ -1,0 +1,280 @@
+"""The JSON messages of the contract: receipts, answers, status.
+
+Every model is frozen and refuses unknown members. Floats are finite or null: JSON never holds NaN. Times are integer
+nanoseconds since the Unix epoch and their names end in ``_ns``.
+"""
+
+import math
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from roughmap_schemas.faults import ContractError
+from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
+
+
+def _null_if_unknown(value: object) -> object:
+    """Turn NaN and the infinities into null, so that a model can be made from a layer's value as it is."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Known = Annotated[Finite | None, BeforeValidator(_null_if_unknown)]
+"""A float, or null where it is not known."""
+
+Hex32 = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
+"""128 bits in hexadecimal digits: an instance, a run, a digest."""
+
+Number = Annotated[int, Field(ge=0)]
+
+
+class Message(BaseModel):
+    """The base of all JSON messages."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+M = TypeVar("M", bound=Message)
+
+
+class BadJson(ContractError):
+    """A JSON text is not the model that it should be; the message names the model and the first fault."""
+
+
+def model_bytes(model: BaseModel) -> bytes:
+    """Give the model's JSON in UTF-8, members in declared order."""
+    return model.model_dump_json().encode()
+
+
+def parse_model(kind: type[M], payload: bytes | str) -> M:
+    """Read a model from JSON; raises ``BadJson``."""
+    try:
+        return kind.model_validate_json(payload)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"]) or "it"
+        raise BadJson(f"expected a {kind.__name__} in JSON: {where}: {first['msg']}") from None
+
+
+class QueryError(Message):
+    """An error reply to any request."""
+
+    code: str
+    """A ``QueryCode``, or for an ingest request a ``Refusal``."""
+    message: str
+
+
+class Receipt(Message):
+    """The log holds the message, fsynced, under this input number; what becomes of it is told by its event."""
+
+    input: Annotated[int, Field(ge=1)]
+    epoch: Number
+    durable: Literal[True] = True
+    duplicate: bool = False
+
+
+class TileInfo(Message):
+    """The attachment of a tile reply. For ``region``: x, y and digest null, z the level, answer_tiles 1."""
+
+    map: str
+    instance: str
+    epoch: Number
+    z: Number
+    x: int | None
+    y: int | None
+    sequence: Number
+    """Of the last change of the tile's cells or of the ring around it."""
+    map_sequence: Number
+    """Of the map, at the answer."""
+    answer_tiles: Number
+    """How many replies make this answer whole."""
+    oldest_ns: Number
+    newest_ns: Number
+    known_cells: Number
+    digest: str | None
+    configuration_digest: str
+    compression: Literal["zstd"] | None = None
+    """Of the Grid's data."""
+
+
+class CellState(Message):
+    """A cell's record, as the map keeps it."""
+
+    count: Number
+    updated: Number
+    """Whole seconds since the Unix epoch: the newest point's."""
+    weight: Finite
+    weight_sq: Finite
+    mean: Finite
+    m2: Finite
+    min: Finite
+    max: Finite
+    inv_cf: Finite
+
+
+class CellEntry(Message):
+    """One asked place: x, y as asked (metres), the cell it falls in, its state (null if never hit) and its layers."""
+
+    x: Finite
+    y: Finite
+    i: int
+    j: int
+    state: CellState | None
+    layers: dict[str, Known]
+
+
+class CellAnswer(Message):
+    """The answer to a ``cells`` query, in the asked order."""
+
+    map: str
+    instance: str
+    epoch: Number
+    sequence: Number
+    cells: list[CellEntry]
+
+
+class QueryRecord(Message):
+    """What the log keeps of a query: the whole selector, what was answered, how long it took."""
+
+    selector: str
+    tiles: Number
+    sequence: Number
+    duration_ns: Number
+    outcome: str
+    """``ok`` or a ``QueryCode``."""
+
+
+class UpdateRecord(Message):
+    """What the log keeps of a published tile where ``log.updates`` is ``records``."""
+
+    key: str
+    info: TileInfo
+
+
+class ControlAnswer(Message):
+    """The answer to an operator's request."""
+
+    sequence: Number
+    epoch: Number
+
+
+class CloudCounts(Message):
+    """Clouds since this start."""
+
+    accepted: Number = 0
+    waiting: Number = 0
+    rejected: dict[CloudReason, Number] = {}
+
+
+class PointCounts(Message):
+    """Points of integrated clouds since this start."""
+
+    accepted: Number = 0
+    rejected: dict[PointReason, Number] = {}
+
+
+class PoseCounts(Message):
+    """Poses since this start."""
+
+    accepted: Number = 0
+    rejected: dict[PoseReason, Number] = {}
+
+
+class Lag(Message):
+    """Seconds from a cloud's arrival until queries see it, over the last 10 s; null when there was none."""
+
+    p50: Known = None
+    p99: Known = None
+
+
+class Rates(Message):
+    """Per second, over the last 10 s."""
+
+    clouds: Finite = 0.0
+    points: Finite = 0.0
+    poses: Finite = 0.0
+
+
+class TileCounts(Message):
+    """Level-0 tiles in memory and in the spill file."""
+
+    resident: Number = 0
+    spilled: Number = 0
+
+
+class LogState(Message):
+    """The file that is being written (null if none), its size so far, and whether the last write succeeded."""
+
+    file: str | None = None
+    bytes: Number = 0
+    ok: bool = True
+
+
+class MapStatus(Message):
+    """How the service and its map are; counts are since this start."""
+
+    map: str
+    run: str
+    instance: str
+    epoch: Number
+    version: str
+    frame_id: str
+    cell_size: Finite
+    tile_cells: Literal[64] = 64
+    levels: Annotated[int, Field(ge=1)]
+    layers: list[str]
+    bounds: tuple[Finite, Finite, Finite, Finite] | None
+    """xmin, ymin, xmax, ymax in metres; null if the map has none."""
+    extent: tuple[Finite, Finite, Finite, Finite] | None
+    """Of the known tiles, in metres; null while there are none."""
+    error_model: Literal["point", "cuboid", "ellipsoid"]
+    configuration_digest: str
+    health: Literal["ok", "overloaded", "degraded"]
+    sequence: Number
+    durable_sequence: Number
+    input: Number
+    newest_stamp_ns: Number
+    clouds: CloudCounts
+    points: PointCounts
+    poses: PoseCounts
+    refused: dict[Refusal, Number]
+    """Messages that never reached the log."""
+    gaps: dict[str, Number]
+    """Missing message numbers a robot."""
+    jumps: dict[str, Number]
+    """Jumps of a robot's frame transform."""
+    lag_s: Lag
+    rates: Rates
+    memory_bytes: Number
+    tiles: TileCounts
+    log: LogState
+    uptime_s: Finite
+
+
+__all__ = [
+    "BadJson",
+    "CellAnswer",
+    "CellEntry",
+    "CellState",
+    "CloudCounts",
+    "ControlAnswer",
+    "Finite",
+    "Hex32",
+    "Known",
+    "Lag",
+    "LogState",
+    "MapStatus",
+    "Message",
+    "Number",
+    "PointCounts",
+    "PoseCounts",
+    "QueryError",
+    "QueryRecord",
+    "Rates",
+    "Receipt",
+    "TileCounts",
+    "TileInfo",
+    "UpdateRecord",
+    "model_bytes",
+    "parse_model",
+]

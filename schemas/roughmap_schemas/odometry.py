@@ -1,0 +1,99 @@
+"""Poses of a robot's base: ``foxglove.Odometry`` and numbers."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry as OdometryMessage
+from numpy.typing import ArrayLike, NDArray
+
+from roughmap_schemas.faults import bad_message
+from roughmap_schemas.geometry import (
+    Quaternion,
+    Vector,
+    read_rotation,
+    read_stamp,
+    read_vector,
+    write_rotation,
+    write_stamp,
+    write_vector,
+)
+from roughmap_schemas.wire import check_outline, check_size, parse
+
+WHAT: Final = "foxglove.Odometry"
+SYMMETRY: Final = 1e-6
+"""How far two mirrored entries may differ, relative to the larger of them and of what their variances allow."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Odometry:
+    """The pose of ``body_frame_id`` in ``frame_id`` at ``stamp_ns``.
+
+    ``position`` in metres, ``rotation`` a unit quaternion x, y, z, w. ``covariance`` (6, 6) float64, order x y z roll
+    pitch yaw about the parent frame's axes, metres and radians; None if the message has none (no numbers, or all
+    zero). ``covariance_fault``: it has one that can't be a covariance; then ``covariance`` is None too.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    body_frame_id: str
+    position: Vector
+    rotation: Quaternion
+    covariance: NDArray[np.float64] | None
+    covariance_fault: bool = False
+
+
+def decode_odometry(payload: bytes, *, max_message: int) -> Odometry:
+    """Read a pose; raises ``MessageFault`` (``too_large``, ``bad_message``)."""
+    check_size(payload, WHAT, max_message)
+    check_outline(payload, OdometryMessage)
+    message = parse(payload, OdometryMessage)
+    stamp_ns = read_stamp(message, WHAT)
+    if not message.HasField("pose"):
+        raise bad_message(f"{WHAT}.pose: expected a pose; found none")
+    position = read_vector(message.pose.position, f"{WHAT}.pose.position")
+    rotation = read_rotation(message.pose.orientation, f"{WHAT}.pose.orientation")
+    covariance, fault = _covariance(message.pose_covariance)
+    return Odometry(stamp_ns, message.frame_id, message.body_frame_id, position, rotation, covariance, fault)
+
+
+def _covariance(given: Any) -> tuple[NDArray[np.float64] | None, bool]:
+    """Give the 6x6 matrix or None, and whether what was given can't be one."""
+    if len(given) == 0:
+        return None, False
+    if len(given) != 36:
+        return None, True
+    matrix = np.array(given, np.float64).reshape(6, 6)
+    if not matrix.any():
+        return None, False
+    variances = [float(value) for value in matrix.diagonal()]
+    if not np.isfinite(matrix).all() or min(variances) < 0.0:
+        return None, True
+    for row in range(6):
+        for column in range(row + 1, 6):
+            upper, lower = float(matrix[row, column]), float(matrix[column, row])
+            scale = max(abs(upper), abs(lower), math.sqrt(variances[row]) * math.sqrt(variances[column]))
+            if abs(upper - lower) > SYMMETRY * scale:
+                return None, True
+    return matrix, False
+
+
+def encode_odometry(
+    stamp_ns: int,
+    frame_id: str,
+    position: ArrayLike,
+    rotation: ArrayLike,
+    covariance: ArrayLike | None = None,
+    body_frame_id: str = "base_link",
+) -> bytes:
+    """Make a pose's payload; shapes (3,), (4,) x y z w and (6, 6). Raises ValueError."""
+    message = OdometryMessage()
+    write_stamp(message, stamp_ns)
+    message.frame_id = frame_id
+    message.body_frame_id = body_frame_id
+    write_vector(message.pose.position, np.asarray(position, np.float64).reshape(3))
+    write_rotation(message.pose.orientation, np.asarray(rotation, np.float64).reshape(4))
+    if covariance is not None:
+        message.pose_covariance.extend(np.asarray(covariance, np.float64).reshape(36).tolist())
+    return bytes(message.SerializeToString())

@@ -1,0 +1,77 @@
+"""Why something was not taken: every reason and code that can appear on the wire, in the log or in a count."""
+
+from enum import StrEnum
+
+
+class PointReason(StrEnum):
+    """Why a point of an integrated cloud did not reach a cell; counted under the first that holds, in this order."""
+
+    NOT_FINITE = "not_finite"
+    NO_RETURN = "no_return"
+    TIME = "time"
+    NO_POSE = "no_pose"
+    SELF = "self"
+    RANGE = "range"
+    CEILING = "ceiling"
+    COVARIANCE = "covariance"
+    UNCERTAIN = "uncertain"
+    BOUNDS = "bounds"
+
+
+class CloudReason(StrEnum):
+    """Why a logged cloud changed nothing; the outcome of its event."""
+
+    POSE_GAP = "pose_gap"
+    POSE_JUMP = "pose_jump"
+    NO_POSE = "no_pose"
+    LATE = "late"
+    TOO_MANY_TILES = "too_many_tiles"
+    EMPTY = "empty"
+    OVERLOAD = "overload"
+    CLOCK_RESET = "clock_reset"
+
+
+class PoseReason(StrEnum):
+    """Why a logged pose was not taken into its robot's buffer."""
+
+    DUPLICATE = "duplicate"
+    STALE = "stale"
+    POSE_FRAME = "pose_frame"
+    BAD_COVARIANCE = "bad_covariance"
+
+
+class Refusal(StrEnum):
+    """Why a message never reached the log."""
+
+    BAD_KEY = "bad_key"
+    BAD_ENCODING = "bad_encoding"
+    BAD_MESSAGE = "bad_message"
+    TOO_LARGE = "too_large"
+    UNKNOWN_SENSOR = "unknown_sensor"
+    UNKNOWN_ROBOT = "unknown_robot"
+    BUSY = "busy"
+    LOG_UNAVAILABLE = "log_unavailable"
+    SHUTTING_DOWN = "shutting_down"
+
+
+class QueryCode(StrEnum):
+    """Why a query was answered with an error."""
+
+    BAD_KEY = "bad_key"
+    BAD_LEVEL = "bad_level"
+    UNKNOWN_PARAMETER = "unknown_parameter"
+    BAD_PARAMETER = "bad_parameter"
+    UNKNOWN_LAYER = "unknown_layer"
+    BAD_BBOX = "bad_bbox"
+    TOO_LARGE = "too_large"
+    SINCE_AHEAD = "since_ahead"
+    BUSY = "busy"
+    SHUTTING_DOWN = "shutting_down"
+    INTERNAL = "internal"
+
+
+INTEGRATED = "integrated"
+"""The outcome of a cloud that was taken; any other outcome is a ``CloudReason``."""
+
+Reason = PointReason | CloudReason | PoseReason | Refusal
+"""Every reason under which a message, a pose, a cloud or a point can be counted."""

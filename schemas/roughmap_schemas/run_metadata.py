@@ -1,0 +1,58 @@
+"""The metadata record with which every log file begins."""
+
+import json
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import Field, ValidationError
+
+from roughmap_schemas.messages import BadJson, Hex32, Message, Number
+
+RECORD_NAME: Final = "roughmap"
+"""The name of the MCAP metadata record."""
+
+
+class RunMetadata(Message):
+    """Which part of which run a file holds, and under which settings its events were made.
+
+    ``created_ns`` is the wall clock's time at the file's beginning; it tells the newest of several runs and orders
+    nothing within one. ``index`` counts the run's files from 0. ``first_input`` is the number of the first input logged
+    in the file, ``first_record`` that of its first input or event (both counted from 1 over the run). ``base_sequence`` and
+    ``base_digest`` are the map's before the file's first event; the digest is "" in a file that was begun because the
+    one before it could no longer be written. ``configuration`` is without secrets.
+    """
+
+    run: Hex32
+    created_ns: Number
+    epoch: Number
+    index: Number
+    first_input: Number
+    first_record: Annotated[int, Field(ge=1)]
+    base_sequence: Number
+    base_digest: Hex32 | Literal[""]
+    version: str
+    configuration: dict[str, Any]
+
+    def to_record(self) -> dict[str, str]:
+        """Give the record's entries: MCAP metadata maps strings to strings."""
+        values = self.model_dump(mode="json")
+        return {
+            name: json.dumps(value, allow_nan=False, sort_keys=True) if name == "configuration" else str(value)
+            for name, value in values.items()
+        }
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, str]) -> Self:
+        """Read the record's entries; raises ``BadJson``, which names the first that is missing or wrong.
+
+        Entries that this version doesn't know are passed over: a log may be read by an older reader.
+        """
+        values: dict[str, object] = {name: record[name] for name in cls.model_fields if name in record}
+        try:
+            values["configuration"] = json.loads(record.get("configuration", ""))
+            return cls.model_validate(values)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            raise BadJson(f"metadata record roughmap: {first['loc'][0]}: {first['msg']}") from None
+        except (ValueError, RecursionError):
+            raise BadJson("metadata record roughmap: configuration: expected a JSON object") from None

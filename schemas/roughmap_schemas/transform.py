@@ -1,0 +1,63 @@
+"""Transforms between frames: ``foxglove.FrameTransform`` and numbers."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from numpy.typing import ArrayLike
+
+from roughmap_schemas.geometry import (
+    Quaternion,
+    Vector,
+    read_rotation,
+    read_stamp,
+    read_vector,
+    write_rotation,
+    write_stamp,
+    write_vector,
+)
+from roughmap_schemas.wire import check_outline, check_size, parse
+
+WHAT: Final = "foxglove.FrameTransform"
+
+
+@dataclass(frozen=True, slots=True)
+class Transform:
+    """Where ``child_frame_id`` lies in ``parent_frame_id`` from ``stamp_ns`` on.
+
+    ``translation`` in metres, ``rotation`` a unit quaternion x, y, z, w.
+    """
+
+    stamp_ns: int
+    parent_frame_id: str
+    child_frame_id: str
+    translation: Vector
+    rotation: Quaternion
+
+
+def decode_transform(payload: bytes, *, max_message: int) -> Transform:
+    """Read a transform; raises ``MessageFault`` (``too_large``, ``bad_message``)."""
+    check_size(payload, WHAT, max_message)
+    check_outline(payload, FrameTransform)
+    message = parse(payload, FrameTransform)
+    return Transform(
+        read_stamp(message, WHAT),
+        message.parent_frame_id,
+        message.child_frame_id,
+        read_vector(message.translation, f"{WHAT}.translation"),
+        read_rotation(message.rotation, f"{WHAT}.rotation"),
+    )
+
+
+def encode_transform(
+    stamp_ns: int, parent_frame_id: str, child_frame_id: str, translation: ArrayLike, rotation: ArrayLike
+) -> bytes:
+    """Make a transform's payload; shapes (3,) and (4,) x y z w. Raises ValueError."""
+    message = FrameTransform()
+    write_stamp(message, stamp_ns)
+    message.parent_frame_id = parent_frame_id
+    message.child_frame_id = child_frame_id
+    write_vector(message.translation, np.asarray(translation, np.float64).reshape(3))
+    write_rotation(message.rotation, np.asarray(rotation, np.float64).reshape(4))
+    return bytes(message.SerializeToString())
