@@ -27,17 +27,17 @@ COMMANDS = {
 class _Lazy(click.Group):
     """A group whose commands are imported when they are asked for."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return list(COMMANDS)
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"roughmap_service.cli.{cmd_name}")
         command: click.Command = getattr(module, cmd_name)
         return command
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
@@ -91,12 +91,19 @@ def _exit_code(error: Exception) -> int | None:
         return 2
     if isinstance(error, Fault | OSError):
         return 1
-    # Only a command that talks to a service has loaded the client or zenoh.
-    for module, name, code in (("roughmap_client.errors", "RoughMapError", 1), ("zenoh", "ZError", 1)):
+    for module, name, code in _LATE:
         kind = getattr(sys.modules.get(module), name, None)
         if kind is not None and isinstance(error, kind):
             return code
     return None
+
+
+_LATE = (
+    ("roughmap_client.errors", "RoughMapError", 1),
+    ("zenoh", "ZError", 1),
+    ("roughmap_service.clouds_in", "CloudFileFault", 2),
+)
+"""Module, error and exit code; only a command that needs the module has loaded it, so it isn't imported for this."""
 
 
 def _text(error: Exception) -> str:

@@ -1,9 +1,11 @@
 """Options that several commands share, and the settings they give."""
 
+import importlib
 import json
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 import click
@@ -25,46 +27,39 @@ class BadUse(click.ClickException):
     exit_code = 2
 
 
-class Setting(click.ParamType):
+def setting(text: str) -> tuple[str, object]:
     """`KEY=VALUE` with a dotted key; the value is JSON where it parses as that, else a text."""
-
-    name = "KEY=VALUE"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, object]:
-        if isinstance(value, tuple):
-            return value
-        key, equals, text = str(value).partition("=")
-        if not equals or not key.strip():
-            self.fail(f"{value!r}: expected KEY=VALUE, such as map.cell_size=0.2", param, ctx)
-        try:
-            return key.strip(), json.loads(text)
-        except ValueError:
-            return key.strip(), text
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise click.BadParameter(f"{text!r}: expected KEY=VALUE, such as map.cell_size=0.2")
+    try:
+        return key.strip(), json.loads(value)
+    except ValueError:
+        return key.strip(), value
 
 
-class Numbers(click.ParamType):
-    """A fixed count of finite numbers, separated by commas."""
-
-    def __init__(self, *parts: str) -> None:
-        self.parts = parts
-        self.name = ",".join(parts)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        if isinstance(value, tuple):
-            return value
-        try:
-            numbers = tuple(float(part) for part in str(value).split(","))
-        except ValueError:
-            numbers = ()
-        if len(numbers) != len(self.parts) or not all(abs(number) < float("inf") for number in numbers):
-            self.fail(f"{value!r}: expected {len(self.parts)} numbers, {self.name}", param, ctx)
-        return numbers
+def bounding_box(text: str) -> tuple[float, float, float, float]:
+    """`xmin,ymin,xmax,ymax` in metres."""
+    try:
+        xmin, ymin, xmax, ymax = (float(part) for part in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{text!r}: expected four numbers, xmin,ymin,xmax,ymax in metres") from None
+    if not (xmin < xmax and ymin < ymax and xmax - xmin < float("inf") and ymax - ymin < float("inf")):
+        raise click.BadParameter(f"{text!r}: expected finite numbers with xmin < xmax and ymin < ymax")
+    return xmin, ymin, xmax, ymax
 
 
 def config_options(function: F) -> F:
     """`-c FILE` as `config_path` and `--set KEY=VALUE` as `settings`; read both with `load`."""
     for option in (
-        click.option("--set", "settings", type=Setting(), multiple=True, help="A setting over file and environment."),
+        click.option(
+            "--set",
+            "settings",
+            type=setting,
+            multiple=True,
+            metavar="KEY=VALUE",
+            help="A setting over file and environment, such as map.cell_size=0.2.",
+        ),
         click.option(
             "-c",
             "--config",
@@ -88,6 +83,14 @@ connect_option = click.option(
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where `serve` listens unless told otherwise, so that the commands find it without an option."""
+
+
+def load_pictures() -> ModuleType:
+    """The module that draws; Failure with the mend in one line where matplotlib is missing."""
+    try:
+        return importlib.import_module("roughmap_service.pictures")
+    except ImportError as error:
+        raise Failure(str(error)) from error
 
 
 def load(config_path: Path | None, settings: tuple[tuple[str, object], ...]) -> LoadedConfig:

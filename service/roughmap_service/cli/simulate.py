@@ -1,0 +1,147 @@
+"""`roughmap simulate`: a rover that publishes scans and poses, or recorded scans played again."""
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from roughmap_service.cli.options import DEFAULT_ENDPOINT, Failure, connect_option, json_option
+
+if TYPE_CHECKING:
+    import zenoh
+
+    from roughmap_service.rover import Message
+    from roughmap_service.rover_publish import Published, RoverPublisher
+
+
+@click.command
+@connect_option
+@click.option("--robots", type=click.IntRange(1, 16), default=1, show_default=True, help="Number of rovers.")
+@click.option(
+    "--duration", type=click.FloatRange(0.1, 86_400), default=20.0, show_default=True, help="Seconds to drive."
+)
+@click.option(
+    "--rate", type=click.FloatRange(0, 1000), default=1.0, show_default=True, help="Times real time; 0: at once."
+)
+@click.option("--seed", type=click.IntRange(0, 2**31), default=1, show_default=True, help="Of ground and noise.")
+@click.option("--rings", type=click.IntRange(1, 256), default=64, show_default=True, help="Beams of the scanner.")
+@click.option("--columns", type=click.IntRange(8, 4096), default=512, show_default=True, help="Columns of a sweep.")
+@click.option(
+    "--from",
+    "recording",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Play this NPZ of scans with poses instead of the rover.",
+)
+@click.option("--robot", default="rover1", show_default=True, help="Name of the robot of a recording.")
+@click.option("--sensor-frame", default="lidar", show_default=True, help="Its sensor's frame, as configured.")
+@click.option("--start-ns", type=click.IntRange(0), help="Stamp of the first sweep; without it, now.")
+@click.option("--wait", type=click.FloatRange(0, 3600), default=15.0, show_default=True, help="Seconds for a service.")
+@json_option
+def simulate(
+    connect: tuple[str, ...],
+    robots: int,
+    duration: float,
+    rate: float,
+    seed: int,
+    rings: int,
+    columns: int,
+    recording: Path | None,
+    robot: str,
+    sensor_frame: str,
+    start_ns: int | None,
+    wait: float,
+    as_json: bool,
+) -> None:
+    """roughmap simulate --duration 20
+
+    Drive a rover over synthetic ground of known height and publish its scans and poses, as a robot would, to a
+    service that is up (`roughmap serve`). The ground has slopes, rocks, a ditch and a wall; the scanner turns
+    while the rover moves; localisation errs by the covariance that it states. The service needs the sensor:
+
+    \b
+      [sensors.lidar]
+      translation = [0.25, 0.0, 1.05]
+      range_sigma = 0.02
+      beam_sigma = 0.0005
+      min_range = 0.5
+
+    With --from, the scans of a file are published with their poses as odometry. There the robot is the sensor:
+    leave `translation` out.
+    """
+    import zenoh
+
+    from roughmap_service.rover import rovers
+    from roughmap_service.rover_play import recorded_messages
+    from roughmap_service.rover_publish import NobodyListens, RoverPublisher, merged
+    from roughmap_service.rover_scanner import Scanner
+
+    if recording is not None:
+        messages = recorded_messages(recording, robot, sensor_frame)
+        names = [robot]
+    else:
+        start = time.time_ns() if start_ns is None else start_ns
+        fleet = rovers(robots, seed, start, Scanner(rings=rings, columns=columns))
+        messages = merged([rover.messages(duration) for rover in fleet])
+        names = [rover.name for rover in fleet]
+    endpoints = list(connect) or [DEFAULT_ENDPOINT]
+    begun = time.monotonic()
+    with (
+        zenoh.open(_session_config(endpoints)) as session,
+        RoverPublisher(session, names, patient=recording is not None or rate != 1) as publisher,
+    ):
+        try:
+            publisher.wait_for_listeners(wait)
+        except NobodyListens as error:
+            raise Failure(f"{error}; is `roughmap serve` up at {', '.join(endpoints)}?") from error
+        published = _play(publisher, messages, rate, None if recording else duration)
+    _report(published, time.monotonic() - begun, as_json)
+
+
+def _session_config(endpoints: list[str]) -> "zenoh.Config":
+    import zenoh
+
+    config = zenoh.Config()
+    config.insert_json5("mode", '"peer"')
+    config.insert_json5("connect/endpoints", json.dumps(endpoints))
+    config.insert_json5("listen/endpoints", "[]")
+    config.insert_json5("scouting/multicast/enabled", "false")
+    return config
+
+
+def _play(
+    publisher: "RoverPublisher", messages: "Iterator[Message]", rate: float, seconds: float | None
+) -> "Published":
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    stop = threading.Event()
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("publishing", total=seconds)
+        first_ns: int | None = None
+
+        def show(published: "Published") -> None:
+            nonlocal first_ns
+            first_ns = published.last_stamp_ns if first_ns is None else first_ns
+            driven = (published.last_stamp_ns - first_ns) / 1e9
+            progress.update(task, completed=driven, description=f"{published.clouds} clouds, {published.poses} poses")
+
+        try:
+            return publisher.play(messages, rate=rate, stop=stop, on_put=show)
+        finally:
+            stop.set()
+
+
+def _report(published: "Published", seconds: float, as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps({**asdict(published), "seconds": seconds}))
+        return
+    click.echo(
+        f"published {published.clouds} clouds and {published.poses} poses, {published.bytes / 1e6:.1f} MB, "
+        f"in {seconds:.1f} s (at worst {published.late_s * 1e3:.0f} ms behind)"
+    )
