@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import carray, types
+from numba import types
 from numba.extending import intrinsic
+from numba.np.numpy_support import carray
 
 from roughmap.arrays import F8, I4, U8, Records, Scalar
 from roughmap.cell import CELL_DTYPE, TILE_CELLS
@@ -21,7 +22,7 @@ CELL_WORDS = CELL_DTYPE.itemsize // 8
 
 def _as_pointer(typingctx: Any, address: Any, like: Any) -> Any:  # noqa: ARG001 - numba's calling form
     """An address as a pointer to values of the type of ``like``."""
-    signature = types.CPointer(like)(types.uint64, like)
+    signature = types.CPointer(like)(types.uint64, like)  # type: ignore[no-untyped-call]
 
     def codegen(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
         return builder.inttoptr(args[0], context.get_value_type(sig.return_type))
@@ -35,13 +36,13 @@ _pointer: Any = intrinsic(_as_pointer)
 @inline
 def floats(address: Scalar) -> F8:
     """The slot at ``address`` as 8 * 4096 float64 words; words that are multiples of 8 hold no float."""
-    return carray(_pointer(address, np.float64(0.0)), (SLOT_CELLS * CELL_WORDS,))  # type: ignore[no-any-return]
+    return carray(_pointer(address, np.float64(0.0)), (SLOT_CELLS * CELL_WORDS,))
 
 
 @inline
 def words(address: Scalar) -> U8:
     """The slot at ``address`` as 8 * 4096 uint64 words."""
-    return carray(_pointer(address, np.uint64(0)), (SLOT_CELLS * CELL_WORDS,))  # type: ignore[no-any-return]
+    return carray(_pointer(address, np.uint64(0)), (SLOT_CELLS * CELL_WORDS,))
 
 
 @kernel
