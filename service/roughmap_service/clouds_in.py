@@ -78,7 +78,9 @@ def read_scans(file: Path) -> Iterator[RecordedScan]:
 
 def _load(file: Path) -> Arrays:
     try:
-        with np.load(file, allow_pickle=False) as archive:
+        # Opened here: np.load leaves the file open where it finds the archive torn.
+        with file.open("rb") as stream:
+            archive = np.load(stream, allow_pickle=False)
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise CloudFileFault(f"{file}: expected an NPZ archive, found a single array")
             arrays: Arrays = {name: archive[name] for name in archive.files}
