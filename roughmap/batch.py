@@ -151,7 +151,7 @@ class BatchMap(Mapping[str, F8]):
         return level
 
     def _age(self) -> F8:
-        return (self._updated.max(initial=0) - self._updated).astype(np.float64)
+        return float(self._updated.max(initial=0)) - self._updated.astype(np.float64)
 
     def _mean_beside(self, across: int, up: int) -> F8:
         """The mean height of each cell's neighbour, NaN where there is none."""
@@ -167,7 +167,8 @@ class BatchMap(Mapping[str, F8]):
         return np.where(np.isnan(both), one, both)
 
     def _slope(self) -> F8:
-        return np.arctan(np.hypot(self._gradient(1, 0), self._gradient(0, 1)))
+        angle: F8 = np.arctan(np.hypot(self._gradient(1, 0), self._gradient(0, 1)))
+        return angle
 
     def _step_height(self) -> F8:
         around = [(across, up) for across in (-1, 0, 1) for up in (-1, 0, 1) if across or up]

@@ -47,7 +47,7 @@ class Frozen:
     """Tiles of one level within a box, with the ring of tiles around it, as they were when the reading began.
 
     The map makes it, under the caller's lock, and the caller closes it under the same lock (or leaves the ``with``
-    block there). All else may be asked without a lock, by several threads at once, while the map goes on: a tile that
+    block there). ValueError for a level that the map does not keep. All else may be asked without a lock, by several threads at once, while the map goes on: a tile that
     is read here is copied before it is changed. Arrays of records are read-only and valid until ``close``.
 
     Attributes:
@@ -71,6 +71,8 @@ class Frozen:
         sequence: int,
         newest_updated: int,
     ) -> None:
+        if not 0 <= level < len(table.levels):
+            raise ValueError(f"level is {level}; expected one of 0 to {len(table.levels) - 1}")
         self.level = level
         self.box = box
         self.cell_size = cell_size * (1 << level)
