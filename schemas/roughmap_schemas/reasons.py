@@ -41,7 +41,11 @@ class PoseReason(StrEnum):
 
 
 class Refusal(StrEnum):
-    """Why a message never reached the log."""
+    """Why a message never reached the log.
+
+    ``duplicate`` is never an error reply: a published message that the log holds already is only counted, and an
+    ingested one gets the receipt of the first.
+    """
 
     BAD_KEY = "bad_key"
     BAD_ENCODING = "bad_encoding"
@@ -52,6 +56,7 @@ class Refusal(StrEnum):
     BUSY = "busy"
     LOG_UNAVAILABLE = "log_unavailable"
     SHUTTING_DOWN = "shutting_down"
+    DUPLICATE = "duplicate"
 
 
 class QueryCode(StrEnum):

@@ -17,7 +17,7 @@ class RunMetadata(Message):
 
     ``created_ns`` is the wall clock's time at the file's beginning; it tells the newest of several runs and orders
     nothing within one. ``index`` counts the run's files from 0. ``first_input`` is the number of the first input logged
-    in the file, ``first_record`` that of its first input or event (both counted from 1 over the run). ``base_sequence`` and
+    in the file, ``first_record`` that of its first input or event (both from 1 over the run). ``base_sequence`` and
     ``base_digest`` are the map's before the file's first event; the digest is "" in a file that was begun because the
     one before it could no longer be written. ``configuration`` is without secrets.
     """
