@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from roughmap_schemas.cloud import encode_cloud
@@ -25,6 +27,12 @@ def recorded_messages(file: Path, robot: str = "rover1", sensor_frame: str = SEN
 
 
 def _pose(scan: RecordedScan, robot: str) -> Message:
-    rotation = Rotation.from_matrix(scan.pose[:3, :3]).as_quat()
-    payload = encode_odometry(scan.stamp_ns, MAP_FRAME, scan.pose[:3, 3], rotation, None, BODY_FRAME)
+    position, rotation = scan.pose[:3, 3], rotation_of(scan.pose)
+    payload = encode_odometry(scan.stamp_ns, MAP_FRAME, position, rotation, None, BODY_FRAME)
     return Message(scan.stamp_ns, "odometry", payload, robot, scan.stamp_ns)
+
+
+def rotation_of(pose: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """The unit quaternion x, y, z, w of a (4, 4) pose, whose rotation may be rounded."""
+    rotation: npt.NDArray[np.float64] = Rotation.from_matrix(pose[:3, :3]).as_quat()
+    return rotation

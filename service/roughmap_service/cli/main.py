@@ -102,6 +102,8 @@ _LATE = (
     ("roughmap_client.errors", "RoughMapError", 1),
     ("zenoh", "ZError", 1),
     ("roughmap_service.clouds_in", "CloudFileFault", 2),
+    ("roughmap_service.store", "StoreError", 2),
+    ("roughmap_service.serve", "ServeError", 2),
 )
 """Module, error and exit code; only a command that needs the module has loaded it, so it isn't imported for this."""
 

@@ -1,0 +1,151 @@
+"""`roughmap query`: a region of a running service's map as a table, a picture or an archive."""
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from roughmap_service.cli.options import (
+    DEFAULT_ENDPOINT,
+    BadUse,
+    bounding_box,
+    config_options,
+    connect_option,
+    json_option,
+    load,
+    load_pictures,
+)
+
+if TYPE_CHECKING:
+    from roughmap_client import Region
+
+Stats = dict[str, float | int | None]
+
+
+@click.command
+@click.option("--bbox", required=True, type=bounding_box, metavar="XMIN,YMIN,XMAX,YMAX", help="Metres, map frame.")
+@click.option(
+    "--layers", default="mean_height,range,confidence_factor", show_default=True, help="Names joined by commas."
+)
+@click.option("--level", type=click.IntRange(0, 24), default=0, show_default=True, help="0 finest; cells double.")
+@click.option("--tolerance", type=click.FloatRange(0, min_open=True), help="Metres, for confidence_level.")
+@click.option("--map", "map_name", help="The map's name; without it, the configuration's.")
+@connect_option
+@click.option("--timeout", type=click.FloatRange(0.1, 3600), default=10.0, show_default=True, help="Seconds.")
+@click.option("--png", type=click.Path(path_type=Path, dir_okay=False), help="Draw the layers side by side.")
+@click.option("--npz", type=click.Path(path_type=Path, dir_okay=False), help="Save the layers as arrays.")
+@config_options
+@json_option
+def query(
+    bbox: tuple[float, float, float, float],
+    layers: str,
+    level: int,
+    tolerance: float | None,
+    map_name: str | None,
+    connect: tuple[str, ...],
+    timeout: float,
+    png: Path | None,
+    npz: Path | None,
+    config_path: Path | None,
+    settings: tuple[tuple[str, object], ...],
+    as_json: bool,
+) -> None:
+    """roughmap query --bbox -5,-5,5,5 --layers mean_height,slope --png ground.png
+
+    Ask a service that is up for a rectangle of its map. Prints, for each layer, how many cells are known and what
+    they hold; --npz keeps the arrays (row 0 at the lowest y, NaN where unknown) with origin, cell_size and sequence.
+    """
+    from roughmap_client import RoughMapClient
+    from roughmap_schemas.layers import LAYERS
+
+    names = [name.strip() for name in layers.split(",")]
+    for name in names:
+        if name not in LAYERS:
+            raise BadUse(f"unknown layer {name!r} (allowed: {', '.join(LAYERS)})")
+    draw = load_pictures().draw if png is not None else None  # before asking: say at once what is missing
+    config = load(config_path, settings).config
+    name = map_name or config.map.name
+    begun = time.perf_counter()
+    with RoughMapClient(name, connect=_endpoints(connect, config.zenoh.listen), timeout=timeout) as client:
+        asked = time.perf_counter()
+        region = client.region(bbox, names, level=level, tolerance=tolerance)
+        answered = time.perf_counter()
+    if npz is not None:
+        _save(npz, region, names)
+    if draw is not None and png is not None:
+        draw(region, names, png, title=f"{name}, sequence {region.sequence}")
+    report = {
+        "map": name,
+        "epoch": region.epoch,
+        "sequence": region.sequence,
+        "level": level,
+        "cell_size": region.cell_size,
+        "origin": list(region.origin),
+        "shape": list(region[names[0]].shape),
+        "connect_s": asked - begun,
+        "answer_s": answered - asked,
+        "layers": {layer: statistics(layer, region[layer]) for layer in names},
+    }
+    if as_json:
+        click.echo(json.dumps(report))
+    else:
+        _table(report)
+
+
+def _endpoints(connect: tuple[str, ...], listen: list[str]) -> list[str]:
+    """What was given, else where the configured service listens, if its ports are known."""
+    known = [endpoint for endpoint in listen if not endpoint.endswith(":0")]
+    return list(connect) or known or [DEFAULT_ENDPOINT]
+
+
+def _save(file: Path, region: "Region", names: list[str]) -> None:
+    import numpy as np
+
+    about: dict[str, Any] = {
+        "origin": np.array(region.origin),
+        "cell_size": region.cell_size,
+        "sequence": region.sequence,
+        "epoch": region.epoch,
+    }
+    with file.open("wb") as stream:
+        np.savez_compressed(stream, **about, **{name: region[name] for name in names})
+
+
+def statistics(layer: str, values: Any) -> Stats:
+    """Known cells and the spread of what they hold; counts and weights are 0, not NaN, where nothing is known."""
+    import numpy as np
+
+    array = np.asarray(values, dtype=np.float64)
+    known = np.isfinite(array) & ((array != 0) | (layer not in {"count", "weight", "expected_count"}))
+    found = array[known]
+    if found.size == 0:
+        return {"known": 0, "min": None, "median": None, "mean": None, "max": None}
+    return {
+        "known": int(found.size),
+        "min": float(found.min()),
+        "median": float(np.median(found)),
+        "mean": float(found.mean()),
+        "max": float(found.max()),
+    }
+
+
+def _table(report: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    rows, columns = report["shape"]
+    x, y = report["origin"]
+    click.echo(
+        f"{report['map']}: {columns} x {rows} cells of {report['cell_size']:g} m from ({x:g}, {y:g}), "
+        f"sequence {report['sequence']}, answered in {report['answer_s'] * 1e3:.1f} ms"
+    )
+    table = Table(box=None, pad_edge=False)
+    table.add_column("layer")
+    for heading in ("known", "min", "median", "mean", "max"):
+        table.add_column(heading, justify="right")
+    for layer, stats in report["layers"].items():
+        cells = ["-" if stats[key] is None else f"{stats[key]:.4g}" for key in ("min", "median", "mean", "max")]
+        table.add_row(layer, f"{stats['known']:,}", *cells)
+    Console(highlight=False).print(table)
