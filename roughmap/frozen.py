@@ -47,8 +47,9 @@ class Frozen:
     """Tiles of one level within a box, with the ring of tiles around it, as they were when the reading began.
 
     The map makes it, under the caller's lock, and the caller closes it under the same lock (or leaves the ``with``
-    block there). ValueError for a level that the map does not keep. All else may be asked without a lock, by several threads at once, while the map goes on: a tile that
-    is read here is copied before it is changed. Arrays of records are read-only and valid until ``close``.
+    block there). All else may be asked without a lock, by several threads at once, while the map goes on: a tile that
+    is read here is copied before it is changed. Arrays of records are read-only and valid until ``close``. ValueError
+    for a level that the map does not keep.
 
     Attributes:
         level: the level, 0 for the map's own cells.

@@ -1,0 +1,36 @@
+"""A real survey in UTM coordinates, through both ways of building the map."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_running_against_batch import compare
+
+from roughmap.batch import BatchMap
+from roughmap.footprint import ERROR_MODELS
+from roughmap.map import RoughMap
+
+SURVEY = Path(__file__).parents[3] / "shared" / "data" / "lone-star.laz"
+
+
+@pytest.fixture(scope="module")
+def survey() -> np.ndarray:
+    if not SURVEY.exists():
+        pytest.skip(f"the survey is not here: {SURVEY}")
+    laspy = pytest.importorskip("laspy")
+    return np.ascontiguousarray(laspy.read(SURVEY).xyz)
+
+
+@pytest.mark.parametrize("model", ERROR_MODELS)
+def test_the_survey_in_both_ways(survey: np.ndarray, model: str) -> None:
+    """Broken ground at coordinates of several 10^5 and 10^6 m, with slanted errors of some centimetres."""
+    assert len(survey) == 518_862
+    assert np.abs(survey[:, :2]).max() > 1e5
+    S = np.array([[4.0, 1.0, 1.0], [1.0, 9.0, -1.0], [1.0, -1.0, 4.0]]) * 1e-4
+    m = RoughMap(cell_size=0.1, error_model=model)
+    for begin in range(0, len(survey), 100_000):
+        m.add(survey[begin : begin + 100_000], S, stamp_ns=begin * 10**6)
+    stamps = np.arange(len(survey)) // 100_000 * 100_000 * 10**6
+    b = BatchMap(survey, S, stamps, cell_size=0.1, error_model=model)
+    assert b.accepted == len(survey)
+    compare(m, b, np.abs(survey[:, 2]).max())

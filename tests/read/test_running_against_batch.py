@@ -1,0 +1,136 @@
+"""The map grown point by point against the batch builder: all layers, all error models, any settings."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from read_tools import over_cells
+
+from roughmap.batch import BatchMap
+from roughmap.footprint import ERROR_MODELS
+from roughmap.layers import LAYERS
+from roughmap.map import RoughMap
+
+EXACT = ("max_height", "min_height", "range", "mid_range_height", "count", "age")
+"""Chosen, not calculated: to the bit (a range is one difference, a mid-range one sum of the same two numbers)."""
+
+
+def compare(m: RoughMap, b: BatchMap, height: float, **options: object) -> None:
+    """All layers of both. ``height``: the largest |h|, whose rounding every mean carries.
+
+    A mean and the running mean are off by some 1e-16 of the height for each point; d = |h - mean| is at least
+    min_distance = 1e-3, so that 1/d^2 is off by 2e3 times that. Shares and determinants are good to some 1e-11: both
+    ways calculate them from the same S whose condition is below 1e5.
+    """
+    if len(b.cells) == 0:
+        assert m.tile_count == 0
+        return
+    got, known = over_cells(m, b.cells, LAYERS, **options)
+    assert known == len(b.cells)
+    for name in EXACT:
+        np.testing.assert_array_equal(got[name], b[name], err_msg=name)
+    off = 1e-13 * max(height, 1.0)
+    np.testing.assert_allclose(got["mean_height"], b["mean_height"], rtol=0, atol=10 * off, err_msg="mean_height")
+    for name in ("weight", "expected_count"):
+        np.testing.assert_allclose(got[name], b[name], rtol=1e-9, err_msg=name)
+    # std_dev^2 = m2 / (W - W2/W): a spread below what means are off by is rounding in both.
+    np.testing.assert_allclose(got["std_dev"] ** 2, b["std_dev"] ** 2, rtol=1e-5, atol=off, err_msg="std_dev")
+    np.testing.assert_allclose(got["confidence_factor"], b["confidence_factor"], rtol=1e-8 + 1e4 * off)
+    spread = b["std_dev"] > 1e-4
+    for name in ("confidence_level", "mean_variance"):
+        np.testing.assert_array_equal(np.isnan(got[name]), np.isnan(b[name]), err_msg=name)
+        np.testing.assert_allclose(got[name][spread], b[name][spread], rtol=1e-5, atol=1e-12, err_msg=name)
+    side = m.cell_size
+    for name in ("gradient_x", "gradient_y", "slope"):
+        np.testing.assert_allclose(got[name], b[name], rtol=1e-9, atol=20 * off / side, err_msg=name)
+    np.testing.assert_allclose(got["step_height"], b["step_height"], rtol=0, atol=20 * off, err_msg="step_height")
+    # A term is 1 at a spread of zero and falls by 1 over its limit; where the spread is rounding it is near 1 in both.
+    np.testing.assert_allclose(got["traversability"], b["traversability"], rtol=0, atol=1e-4, err_msg="traversability")
+
+
+@st.composite
+def clouds(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Up to 60 points on a few square metres, covariances of any shape and direction, stamps."""
+    number = draw(st.integers(1, 60))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    centre = draw(st.sampled_from([(0.0, 0.0, 0.0), (12.3, -45.6, 7.0), (-0.05, 6.4, 800.0)]))
+    points = np.asarray(centre) + rng.normal(0.0, draw(st.sampled_from([0.02, 0.2, 1.0])), (number, 3))
+    if draw(st.booleans()):
+        points[:, 2] = np.round(points[:, 2], 1)  # equal heights
+    turn, _ = np.linalg.qr(rng.normal(size=(number, 3, 3)))
+    sigma = np.exp(rng.uniform(np.log(1e-3), np.log(draw(st.sampled_from([0.01, 0.05, 0.2]))), (number, 3)))
+    covariance = np.einsum("nij,nj,nkj->nik", turn, sigma**2, turn)
+    stamp_ns = rng.integers(0, 100 * 10**9, number)
+    return points, covariance, stamp_ns
+
+
+@pytest.mark.parametrize("model", ERROR_MODELS)
+@settings(deadline=None, max_examples=60)
+@given(
+    cloud=clouds(),
+    cell_size=st.sampled_from([0.1, 0.25, 1.0]),
+    coverage=st.sampled_from([1.0, 2.0, 3.0]),
+    min_radius=st.sampled_from([1e-3, 0.01]),
+    min_share=st.sampled_from([0.05, 0.3]),
+    bounded=st.booleans(),
+    cuts=st.lists(st.integers(0, 60), max_size=3),
+)
+def test_all_layers(
+    model: str,
+    cloud: tuple[np.ndarray, np.ndarray, np.ndarray],
+    cell_size: float,
+    coverage: float,
+    min_radius: float,
+    min_share: float,
+    bounded: bool,
+    cuts: list[int],
+) -> None:
+    points, covariance, stamp_ns = cloud
+    common = {
+        "cell_size": cell_size,
+        "error_model": model,
+        "coverage": coverage,
+        "min_radius": min_radius,
+        "bounds": (*(points.min(axis=0)[:2] - 0.01), *points.mean(axis=0)[:2]) if bounded else None,
+    }
+    read = {"height_tolerance": 0.03, "limits": {"slope": 1.0, "step": 0.5, "std_dev": 0.2, "range": 0.6}}
+    b = BatchMap(points, covariance, stamp_ns, min_share=min_share, **common, **read)
+    # A cell whose share lies within rounding of the least that takes part may be in one map and not in the other.
+    nearly = [BatchMap(points, covariance, min_share=min_share * f, **common)["count"] for f in (1 - 1e-8, 1 + 1e-8)]
+    assume(len(nearly[0]) == len(nearly[1]) and (nearly[0] == nearly[1]).all())
+    m = RoughMap(min_share=min_share, threads=1, **common)
+    accepted, rejected = 0, dict.fromkeys(b.rejected, 0)
+    for part in np.split(np.arange(len(points)), sorted(cuts)):
+        report = m.add(points[part], None if model == "point" else covariance[part], stamp_ns[part])
+        accepted += report.accepted
+        for reason, number in report.rejected.items():
+            rejected[reason] += number
+    assert (accepted, rejected) == (b.accepted, b.rejected)
+    compare(m, b, np.abs(points[:, 2]).max(), **read)
+
+
+@pytest.mark.parametrize("model", ERROR_MODELS)
+def test_both_reject_the_same_points(model: str) -> None:
+    rng = np.random.default_rng(8)
+    points = rng.uniform(-2.0, 2.0, (3000, 3))
+    factors = rng.normal(0.0, 0.1, (3000, 3, 3))
+    covariance = factors @ factors.swapaxes(1, 2)
+    covariance[::7] -= 0.02 * np.eye(3)
+    covariance[::11, 0, 2] = np.nan
+    points[::13, 2] = np.inf
+    settings_ = {"error_model": model, "bounds": (-1.5, -1.9, 1.7, 1.1)}
+    b = BatchMap(points, covariance, **settings_)
+    report = RoughMap(threads=1, **settings_).add(points, covariance)
+    assert (report.accepted, report.rejected) == (b.accepted, b.rejected)
+    reasons = {"not_finite", "bounds"} if model == "point" else {"not_finite", "bounds", "covariance", "uncertain"}
+    assert set(b.rejected) == reasons
+
+
+@pytest.mark.parametrize("model", ERROR_MODELS)
+def test_the_same_covariance_for_all(model: str) -> None:
+    rng = np.random.default_rng(9)
+    points = rng.uniform(-2.0, 2.0, (2000, 3))
+    S = np.array([[4.0, 1.0, 0.5], [1.0, 9.0, 0.0], [0.5, 0.0, 1.0]]) * 1e-4
+    m = RoughMap(error_model=model, threads=1)
+    m.add(points, S)
+    compare(m, BatchMap(points, S, error_model=model), 2.0)
