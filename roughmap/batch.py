@@ -17,6 +17,7 @@ from roughmap.arrays import F8, I8, Flags
 from roughmap.batch_shares import Pairs, cells_of_bodies, cells_of_points
 from roughmap.cell import STAMP_LIMIT_NS, PointReason
 from roughmap.layers import LAYERS, LIMIT_NAMES, SINGLE_POINT, check_limits, check_tolerance
+from roughmap.scan import checked_points
 
 T = TypeVar("T", bound=np.generic)
 
@@ -216,9 +217,7 @@ def _packed(cells: I8) -> I8:
 
 
 def _checked_points(points: npt.ArrayLike, stamp_ns: npt.ArrayLike) -> tuple[F8, I8]:
-    where = np.asarray(points, dtype=np.float64)
-    if where.ndim != 2 or where.shape[1] != 3:
-        raise ValueError(f"points have the shape {where.shape}; expected (N, 3)")
+    where = checked_points(points, "points").astype(np.float64)
     stamps = np.asarray(stamp_ns)
     if not np.issubdtype(stamps.dtype, np.integer) or stamps.shape not in {(), (len(where),)}:
         raise ValueError(f"stamps are {stamps.dtype} {stamps.shape}; expected an integer or ({len(where)},) integers")

@@ -38,6 +38,8 @@ class _Index:
 
     def find(self, x: int, y: int) -> int:
         """The place of tile (x, y), or -1."""
+        if not (-TILE_LIMIT <= x < TILE_LIMIT and -TILE_LIMIT <= y < TILE_LIMIT):
+            return -1
         packed = (x << 32) + y
         place = int(np.searchsorted(self._packed, packed))
         return place if place < len(self._packed) and self._packed[place] == packed else -1

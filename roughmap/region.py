@@ -100,8 +100,8 @@ def read_region(
         raise ValueError(f"the box needs the tiles {tiles}; expected some within {frozen.box}")
     i0, j0, i1, j1 = cells
     layers = {name: unknown_plane(name, (j1 - j0, i1 - i0)) for name in names}
-    inside = (frozen.tiles >= tiles[:2]).all(axis=1) & (frozen.tiles <= tiles[2:]).all(axis=1)
-    for x, y in frozen.tiles[inside].tolist():
+    (x0, y0, x1, y1), (tx, ty) = tiles, frozen.tiles.T
+    for x, y in frozen.tiles[(tx >= x0) & (tx <= x1) & (ty >= y0) & (ty <= y1)].tolist():
         across, columns = _overlap(x, i0, i1)
         up, rows = _overlap(y, j0, j1)
         for name, plane in frozen.tile_layers(x, y, names, height_tolerance, limits).items():

@@ -59,6 +59,24 @@ def test_a_tile_row_by_row(m: RoughMap) -> None:
         assert frozen.cell_size == SIDE
 
 
+def test_tiles_that_no_map_can_hold_are_absent(m: RoughMap) -> None:
+    put(m, (0, 0, 1.0))
+    for x, y in [(0, 2**32), (-1, 2**32), (2**70, 0), (0, -(2**70)), (2**25, -(2**25) - 1)]:
+        with m.freeze(box=(x, y, x, y)) as frozen, m.freeze() as whole:
+            assert len(frozen.tiles) == 0
+            assert frozen.known_cells(x, y) == whole.known_cells(x, y) == 0
+
+
+def test_a_tile_taken_from_a_store_is_seen_at_all_levels(m: RoughMap) -> None:
+    """It changes cells without a new sequence; what was merged before must not be taken for the new state."""
+    put(m, (0, 0, 1.0))
+    with m.freeze(level=2) as frozen:
+        assert frozen.known_cells(0, 0) == 1
+    load(m, {(1, 1): chance_tile(1)})
+    with m.freeze(level=2) as frozen:
+        assert frozen.known_cells(0, 0) > 1
+
+
 def test_the_digest_is_that_of_the_records(m: RoughMap) -> None:
     tile = chance_tile(3)
     load(m, {(-2, 7): tile})

@@ -98,7 +98,7 @@ def test_any_box_shows_the_same_ground(m: RoughMap, level: int) -> None:
 
 
 def test_a_region_where_nothing_is_known(m: RoughMap) -> None:
-    for box in [(1e3, 1e3, 1e3 + 1, 1e3 + 1), (1e12, -1e12, 1e12 + 1, -1e12 + 1)]:
+    for box in [(1e3, 1e3, 1e3 + 1, 1e3 + 1), (1e12, -1e12, 1e12 + 1, -1e12 + 1), (0, 1e20, 1, 1e20 + 2e4)]:
         r = m.region(box, LAYERS)
         for name in LAYERS:
             assert (r[name] == 0).all() if name in {"count", "weight"} else np.isnan(r[name]).all()
