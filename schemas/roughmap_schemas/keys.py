@@ -125,6 +125,7 @@ class Keys:
         self.events = self._forms["events"].make()
         self.status = self._forms["status"].make()
         self.queries = self._forms["queries"].make()
+        self.updates_topic = "/".join(c for c in self._forms["updates"].chunks if not c.startswith("{"))
 
     def form(self, name: str) -> KeyForm:
         """Give the form of that name (a key of ``TEMPLATES``)."""

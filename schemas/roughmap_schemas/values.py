@@ -1,0 +1,96 @@
+"""Kinds of values that settings have: numbers with their ranges, sizes, names."""
+
+import math
+import re
+from typing import Annotated, Any, Final
+
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from roughmap_schemas.geometry import normalised
+from roughmap_schemas.keys import NAME_PATTERN
+
+UNITS: Final = {
+    "": 1,
+    "b": 1,
+    "kb": 10**3,
+    "mb": 10**6,
+    "gb": 10**9,
+    "tb": 10**12,
+    "kib": 2**10,
+    "mib": 2**20,
+    "gib": 2**30,
+    "tib": 2**40,
+}
+SIZE: Final = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,6})?) ?([A-Za-z]{0,3})")
+
+
+def _no_bool(value: object) -> object:
+    """Refuse true and false where a number is wanted; pydantic would take them for 1 and 0."""
+    if isinstance(value, bool):
+        raise ValueError("must be a number")
+    return value
+
+
+def parse_size(value: object) -> int:
+    """Read bytes: a whole number, or a text such as ``64MiB``, ``1.5GiB`` or ``100MB``. Raises ValueError."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return value
+    match = SIZE.fullmatch(value.strip()) if isinstance(value, str) else None
+    if match is None or match[2].lower() not in UNITS:
+        raise ValueError('must be a number of bytes or a text such as "64MiB" (B, kB, MB, GB, TB, KiB, MiB, GiB, TiB)')
+    size = float(match[1]) * UNITS[match[2].lower()] if "." in match[1] else int(match[1]) * UNITS[match[2].lower()]
+    return int(size)
+
+
+def _nothing(value: object) -> object:
+    """Take "" for none."""
+    return None if value == "" else value
+
+
+def _unit(value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    unit = normalised(value)
+    if unit is None:
+        raise ValueError("must be x, y, z, w of norm at least 1e-6")
+    return unit
+
+
+def _box(value: tuple[float, ...]) -> tuple[float, ...]:
+    half = len(value) // 2
+    if not all(low < high for low, high in zip(value[:half], value[half:], strict=True)):
+        raise ValueError("must have each minimum below its maximum")
+    return value
+
+
+def _once(value: list[Any]) -> list[Any]:
+    if len({str(item) for item in value}) != len(value):
+        raise ValueError("must hold each value once")
+    return value
+
+
+NUMBER: Final = BeforeValidator(_no_bool)
+"""Stands last in an annotation: ranges before it belong to the number, and to its JSON Schema."""
+
+Real = Annotated[float, Field(allow_inf_nan=False), NUMBER]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), NUMBER]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), NUMBER]
+Share = Annotated[float, Field(ge=0, le=1), NUMBER]
+Reach = Annotated[float, Field(gt=0), NUMBER]
+"""A distance that may be infinite; nan is not above 0."""
+Ceiling = Annotated[float, Field(gt=-math.inf), NUMBER]
+
+AtLeastOne = Annotated[int, Field(ge=1), NUMBER]
+NotNegativeWhole = Annotated[int, Field(ge=0), NUMBER]
+Size = Annotated[int, Field(ge=1), BeforeValidator(parse_size, json_schema_input_type=int | str)]
+Name = Annotated[str, Field(pattern=NAME_PATTERN.replace(r"\Z", "$"))]
+Frame = Annotated[str, Field(min_length=1, max_length=256)]
+
+Three = tuple[Real, Real, Real]
+SixSigmas = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
+Rotation = Annotated[tuple[Real, Real, Real, Real], AfterValidator(_unit)]
+Bounds = Annotated[tuple[Real, Real, Real, Real], AfterValidator(_box)]
+Box = Annotated[tuple[Real, Real, Real, Real, Real, Real], AfterValidator(_box)]
+MaybeNone = BeforeValidator(_nothing)
+"""Where "" stands for none."""
+
+Once = AfterValidator(_once)
+"""A list in which nothing stands twice."""
