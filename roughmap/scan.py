@@ -34,7 +34,8 @@ def checked_integers(value: npt.ArrayLike, shape: tuple[int, ...], name: str) ->
         raise ValueError(f"{name}: expected integers of shape {shape}, got {array.dtype} of shape {array.shape}")
     if array.dtype.kind == "u" and array.size and int(array.max()) > np.iinfo(np.int64).max:
         raise ValueError(f"{name}: expected integers of 64 bits, signed")
-    return np.ascontiguousarray(array, np.int64)
+    # Writable, because kernels are compiled for that kind of array only.
+    return np.require(array, np.int64, ["C", "A", "W"])
 
 
 def checked_points(points: npt.ArrayLike, name: str) -> npt.NDArray[np.floating]:

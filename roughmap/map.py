@@ -1,0 +1,370 @@
+"""The map: points in, tiles of cells kept up to date, readings out."""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Self
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from roughmap import blocks
+from roughmap.arrays import F8, I4, I8, U1, Records
+from roughmap.cell import CELL_DTYPE, OFFSET_LIMIT_NS, REASON_NAMES, STAMP_LIMIT_NS, TILE_CELLS, PointReason
+from roughmap.digest import map_digest, tile_digest
+from roughmap.footprint import POINT
+from roughmap.frozen import TILE_LIMIT, Frozen, TileBox
+from roughmap.integrate import AddReport, integrate
+from roughmap.merge_cache import MergeCache
+from roughmap.place import pose_at, split
+from roughmap.region import Region, cell_box, read_region, tile_box
+from roughmap.scan import Limits, Noise, Scan, checked_integers, checked_points, checked_stamp, point_rules
+from roughmap.settings import Settings
+from roughmap.tiles import TileTable
+from roughmap.trajectory import Trajectory
+from roughmap.workspace import Planes, ThreadScratch, Workspace
+
+_NO_TIMES = np.zeros(0, np.int64)
+
+
+class RoughMap:
+    """A rough-ground map of any extent, built point by point.
+
+    ``cell_size`` metres; ``error_model`` "point", "cuboid" or "ellipsoid"; ``coverage``: how many sigmas the error body
+    spans; ``min_radius`` metres, its least half extent; ``min_distance`` metres, the least distance in eq. 16;
+    ``min_share``: a cell takes part if its share is at least this part of the point's largest;
+    ``max_horizontal_radius`` metres, beyond which a point is too uncertain; ``bounds`` (xmin, ymin, xmax, ymax) metres,
+    half-open; ``levels``, level 0 included; ``threads`` that share the work (None: numba's number).
+
+    The same points, covariances and stamps in the same order give the same bytes of state, however they were cut into
+    calls and however many threads worked on them. One thread at a time may call the methods; what `freeze` gives may
+    be read by others meanwhile. Errors in arguments are ValueError, and nothing is changed then.
+    """
+
+    def __init__(
+        self,
+        cell_size: float = 0.1,
+        error_model: str = "cuboid",
+        coverage: float = 2.0,
+        min_radius: float = 1e-3,
+        min_distance: float = 1e-3,
+        min_share: float = 0.05,
+        max_horizontal_radius: float = 0.5,
+        bounds: Sequence[float] | None = None,
+        levels: int = 8,
+        threads: int | None = None,
+    ) -> None:
+        self.settings = Settings(
+            cell_size=cell_size,
+            error_model=error_model,
+            coverage=coverage,
+            min_radius=min_radius,
+            min_distance=min_distance,
+            min_share=min_share,
+            max_horizontal_radius=max_horizontal_radius,
+            bounds=bounds,
+            levels=levels,
+        )
+        threads = numba.config.NUMBA_NUM_THREADS if threads is None else threads
+        if not isinstance(threads, int) or not 1 <= threads <= 256:
+            raise ValueError(f"threads: expected an integer in [1, 256] or None, got {threads!r}")
+        self.sequence = 0
+        """+1 for each call that accepted a point, and for each `reset`."""
+        self.newest_updated = 0
+        """The largest `updated` of any cell, in seconds; 0 if the map is empty."""
+        self._space = Workspace(threads, self.settings.side)
+        self._table = TileTable(levels)
+        self._cache = MergeCache()
+
+    @property
+    def cell_size(self) -> float:
+        """Side of a cell of level 0, metres."""
+        return self.settings.cell_size
+
+    @property
+    def levels(self) -> int:
+        """Number of levels, level 0 included."""
+        return self.settings.levels
+
+    @property
+    def tile_count(self) -> int:
+        """Level-0 tiles with a known cell."""
+        return self._table.size
+
+    @property
+    def memory_bytes(self) -> int:
+        """Bytes of tiles (counted whole), tables and merged levels; what is resident may be less."""
+        return self._table.nbytes + self._cache.nbytes
+
+    def extent(self) -> tuple[float, float, float, float] | None:
+        """xmin, ymin, xmax, ymax in metres of the tiles with a known cell; None if there is none."""
+        base = self._table.levels[0]
+        if not base.size:
+            return None
+        tx, ty = base.tx[: base.size], base.ty[: base.size]
+        low = int(tx.min()) * TILE_CELLS, int(ty.min()) * TILE_CELLS
+        high = (int(tx.max()) + 1) * TILE_CELLS, (int(ty.max()) + 1) * TILE_CELLS
+        a = self.cell_size
+        return low[0] * a, low[1] * a, high[0] * a, high[1] * a
+
+    def add(
+        self,
+        points: npt.ArrayLike,
+        covariance: npt.ArrayLike | None = None,
+        stamp_ns: npt.ArrayLike = 0,
+        *,
+        offsets_ns: npt.ArrayLike | None = None,
+        max_new_tiles: int | None = None,
+        max_tiles: int | None = None,
+    ) -> AddReport:
+        """Take up points (N, 3) in the map frame, in metres.
+
+        ``covariance`` (N, 3, 3), or (3, 3) for all alike, square metres in map axes, only the upper triangles read;
+        needed unless the model is "point", which does not look at it. ``stamp_ns``: one integer or (N,), in
+        [0, 2^32 s). ``offsets_ns`` (N,): added to the stamps; a point whose offset is negative or beyond 1 s is
+        rejected as `time`. `TooManyTiles` if more than ``max_new_tiles`` tiles would be new or the map would have more
+        than ``max_tiles``; no cell is written then.
+        """
+        checked = checked_points(points, "points")
+        number = len(checked)
+        matrices = self._covariances(covariance, number)
+        stamps = _checked_stamps(stamp_ns, number)
+        late = None
+        if offsets_ns is not None:
+            offsets = checked_integers(offsets_ns, (number,), "offsets_ns")
+            late = (offsets < 0) | (offsets > OFFSET_LIMIT_NS)
+            stamps = stamps + np.where(late, 0, offsets)
+            late |= stamps >= STAMP_LIMIT_NS
+        planes = self._space.planes(number)
+        if late is not None:
+            planes.reason[late & np.isfinite(checked).all(axis=1)] = PointReason.TIME
+        s = self.settings
+
+        def bound(start: int, stop: int, scratch: ThreadScratch) -> None:
+            p = planes
+            split(checked, start, stop, p.x, p.y, p.z)
+            blocks.point_blocks(
+                start,
+                stop,
+                s.model,
+                p.x,
+                p.y,
+                p.z,
+                p.reason,
+                p.cells,
+                p.body,
+                scratch.S,
+                matrices,
+                s.cell_size,
+                s.area,
+                s.error,
+            )
+
+        return self._add(planes, stamps, bound, max_new_tiles, max_tiles)
+
+    def add_scan(
+        self,
+        scan: Scan,
+        trajectory: Trajectory,
+        noise: Noise,
+        limits: Limits | None = None,
+        *,
+        max_new_tiles: int | None = None,
+        max_tiles: int | None = None,
+    ) -> AddReport:
+        """Place a scan (eq. 1) and take up its points; equal to `georeference` and `add`, to the bit.
+
+        No covariance array is made: each block of points is placed, bounded, and its covariances forgotten.
+        ``max_new_tiles``, ``max_tiles``: as in `add`.
+        """
+        limits = limits or Limits()
+        number = len(scan.points)
+        offsets = _NO_TIMES if scan.offsets_ns is None else scan.offsets_ns
+        stamps = scan.stamp_ns + (np.zeros(1, np.int64) if scan.offsets_ns is None else offsets)
+        way, gap, rules = trajectory.arrays, limits.max_gap_ns, point_rules(scan, noise, limits)
+        posed, pose = pose_at(way, gap, scan.stamp_ns)
+        planes = self._space.planes(number)
+        s = self.settings
+
+        def place(start: int, stop: int, scratch: ThreadScratch) -> None:
+            p = planes
+            split(scan.points, start, stop, p.x, p.y, p.z)
+            blocks.scan_blocks(
+                start,
+                stop,
+                s.model,
+                p.x,
+                p.y,
+                p.z,
+                p.reason,
+                p.cells,
+                p.body,
+                scratch.levers,
+                scratch.S,
+                scratch.bracket,
+                scan.offsets_ns is not None,
+                offsets,
+                scan.stamp_ns,
+                way,
+                gap,
+                posed,
+                pose,
+                rules,
+                s.cell_size,
+                s.area,
+                s.error,
+            )
+
+        return self._add(planes, stamps, place, max_new_tiles, max_tiles)
+
+    def _add(
+        self,
+        planes: Planes,
+        stamps: I8,
+        geometry: Callable[[int, int, ThreadScratch], None],
+        max_new_tiles: int | None,
+        max_tiles: int | None,
+    ) -> AddReport:
+        """Phase one, ``geometry`` over ranges of points; phase two, the tiles."""
+        number = len(planes.x)
+        parts = self._space.parts(number)
+        edges = [number * n // parts for n in range(parts + 1)]
+        self._space.run(parts, lambda n, scratch: geometry(edges[n], edges[n + 1], scratch))
+        counts = np.bincount(planes.reason, minlength=len(REASON_NAMES)).tolist()
+        accepted = counts[PointReason.KEPT]
+        rejected = {name: n for name, n in zip(REASON_NAMES[1:], counts[1:], strict=True) if n}
+        if not accepted:
+            return AddReport(0, rejected)
+        tiles, newest_ns = integrate(
+            planes, stamps, self.sequence + 1, self._table, self.settings, self._space, max_new_tiles, max_tiles
+        )
+        self.sequence += 1
+        self.newest_updated = max(self.newest_updated, newest_ns // 1_000_000_000)
+        return AddReport(accepted, rejected, tiles)
+
+    def _covariances(self, covariance: npt.ArrayLike | None, number: int) -> F8:
+        """(N, 3, 3), or (1, 3, 3) for one that holds for all points."""
+        if covariance is None:
+            if self.settings.model != POINT:
+                raise ValueError(f"covariance: expected (N, 3, 3) or (3, 3), the model is {self.settings.error_model}")
+            return np.zeros((1, 3, 3))
+        array = np.asarray(covariance)
+        if array.shape not in ((number, 3, 3), (3, 3)) or array.dtype.kind not in "fiu":
+            raise ValueError(
+                f"covariance: expected numbers of shape ({number}, 3, 3) or (3, 3), got {array.dtype} of {array.shape}"
+            )
+        return np.require(array.reshape(-1, 3, 3), np.float64, ["C", "A", "W"])
+
+    def reset(self) -> None:
+        """Forget all cells; the sequence goes on. Readings that are open keep what they hold."""
+        self._table = TileTable(self.levels)
+        self._cache.generation += 1
+        self.newest_updated = 0
+        self.sequence += 1
+
+    def set_sequence(self, sequence: int) -> None:
+        """At recovery, before any tile is loaded: the sequence that the stored tiles have. ValueError otherwise."""
+        if self._table.size or sequence < 0:
+            raise ValueError(f"sequence: expected one of at least 0 for an empty map, got {sequence}")
+        self.sequence = sequence
+
+    def load_tile(
+        self, tx: int, ty: int, records: Records, oldest_ns: int, newest_ns: int, digest: bytes | None = None
+    ) -> None:
+        """Take a tile (4096,) of CELL_DTYPE from a store; its sequence becomes the map's as it is now.
+
+        ``digest``: its XXH3-128 as 16 big-endian bytes if that is known. ValueError for a tile that is there already,
+        has no known cell, or lies outside the map.
+        """
+        if not (-TILE_LIMIT <= tx < TILE_LIMIT and -TILE_LIMIT <= ty < TILE_LIMIT):
+            raise ValueError(f"tile ({tx}, {ty}): expected numbers in [{-TILE_LIMIT}, {TILE_LIMIT})")
+        if records.shape != (TILE_CELLS * TILE_CELLS,) or records.dtype != CELL_DTYPE:
+            raise ValueError(f"tile ({tx}, {ty}): expected (4096,) records of CELL_DTYPE")
+        if digest is not None and len(digest) != 16:
+            raise ValueError(f"tile ({tx}, {ty}): expected a digest of 16 bytes, got {len(digest)}")
+        stamps = checked_stamp(oldest_ns, "oldest_ns"), checked_stamp(newest_ns, "newest_ns")
+        known = records["count"] != 0
+        if not known.any():
+            raise ValueError(f"tile ({tx}, {ty}): expected a known cell")
+        table = self._table
+        if table.levels[0].find(tx, ty) >= 0:
+            raise ValueError(f"tile ({tx}, {ty}): is in the map already")
+        one = np.array([tx], np.int32), np.array([ty], np.int32)
+        entry = int(table.insert(*one)[0])
+        table.pool.store(int(table.slot[entry]), records)
+        table.oldest_ns[entry], table.newest_ns[entry] = stamps
+        for z, level in enumerate(table.levels):
+            level.sequence[level.find(tx >> z, ty >> z)] = self.sequence
+        if digest is not None:
+            table.digest[entry] = np.frombuffer(digest, np.uint8)
+            table.digest_known[entry] = True
+        self._cache.generation += 1
+        self.newest_updated = max(self.newest_updated, int(records["updated"].max()))
+
+    def tile_digests(self) -> tuple[I4, I4, U1]:
+        """(tx, ty, digests (T, 16)) of the level-0 tiles with a known cell, ascending by (tx, ty)."""
+        table = self._table
+        entries = table.select()
+        for entry in entries[~table.digest_known[entries]].tolist():
+            table.digest[entry] = np.frombuffer(tile_digest(table.records(int(table.slot[entry]))), np.uint8)
+            table.digest_known[entry] = True
+        base = table.levels[0]
+        return base.tx[entries], base.ty[entries], table.digest[entries]
+
+    def digest(self) -> str:
+        """XXH3-128, hex, over the digests of all tiles; of an empty map that of no bytes."""
+        return map_digest(*self.tile_digests())
+
+    def freeze(self, level: int = 0, box: TileBox | None = None) -> Frozen:
+        """The tiles of ``level`` in ``box`` (inclusive tile numbers; None: all) as they are now, to be read later.
+
+        A context manager, to be closed under the same lock as the map's methods. ValueError for an unknown level.
+        """
+        if not 0 <= level < self.levels:
+            raise ValueError(f"level: expected an integer in [0, {self.levels}), got {level!r}")
+        return Frozen(
+            self._table,
+            self._cache,
+            level=level,
+            box=box,
+            cell_size=self.cell_size,
+            sequence=self.sequence,
+            newest_updated=self.newest_updated,
+        )
+
+    def region(
+        self,
+        bbox: Sequence[float],
+        layers: Sequence[str],
+        level: int = 0,
+        height_tolerance: float = 0.05,
+        limits: Mapping[str, float] | None = None,
+    ) -> Region:
+        """Layers over the box (xmin, ymin, xmax, ymax) in metres, as `read_region` gives them."""
+        if not 0 <= level < self.levels:
+            raise ValueError(f"level: expected an integer in [0, {self.levels}), got {level!r}")
+        tiles = tile_box(cell_box(bbox, self.cell_size * (1 << level)))
+        with self.freeze(level, tiles) as frozen:
+            return read_region(frozen, bbox, layers, height_tolerance, limits)
+
+    def close(self) -> None:
+        """End the threads; the map stays as it is."""
+        self._space.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _checked_stamps(stamp_ns: npt.ArrayLike, number: int) -> I8:
+    """(1,) or (N,) stamps in [0, 2^32 s)."""
+    if np.ndim(stamp_ns) == 0:
+        return np.array([checked_stamp(stamp_ns, "stamp_ns")], np.int64)  # type: ignore[arg-type]
+    stamps = checked_integers(stamp_ns, (number,), "stamp_ns")
+    if number and not (stamps.min() >= 0 and stamps.max() < STAMP_LIMIT_NS):
+        raise ValueError("stamp_ns: expected nanoseconds in [0, 2^32 s)")
+    return stamps
