@@ -47,8 +47,10 @@ def build(
 
     .npz holds `points` (N, 3), whole numbers being millimetres: either scans in the sensor's frame with
     `scan_start` (K + 1), `pose` (K, 4, 4, sensor in map) and `stamp_s` or `stamp_ns` (K); or points in the map frame,
-    with `covariance` and `stamp_ns` if known. .xyz, .csv, .txt, .asc hold points in the map frame, one a line: the columns
-    named x, y, z, else the first three. Points in the map frame without a covariance get `input.placed_sigma`.
+    with `covariance` and `stamp_ns` if known.
+
+    .xyz, .csv, .txt, .asc hold points in the map frame, one a line: the columns named x, y, z, else the first three.
+    Points in the map frame without a covariance get `input.placed_sigma`.
     """
     from roughmap_schemas.config import configuration_digest
     from roughmap_service.settings import Settings, new_map
