@@ -76,7 +76,7 @@ def point_blocks(
     area: Scalar,
     error: Scalar,
 ) -> None:
-    """Bound the points ``start`` to ``stop``, in the map frame. ``covariance``: one (1, 3, 3) for all, or one a point."""
+    """Bound the points ``start`` to ``stop``, in the map frame. ``covariance``: (1, 3, 3) for all, or one a point."""
     each = np.int64(1) if len(covariance) > 1 else np.int64(0)
     for first in range(start, stop, BLOCK):
         last = min(first + BLOCK, stop)

@@ -25,7 +25,7 @@ def pivots(a: Scalar, b: Scalar, c: Scalar, d: Scalar, e: Scalar, f: Scalar) -> 
 
 
 @kernel
-def raise_eigenvalues(S: F8, n: int, least: float) -> float:
+def raise_eigenvalues(S: F8, n: int, least: float) -> Scalar:
     """Raise the eigenvalues of the matrix S[:, n] (upper triangle) below ``least`` to it, in place; the determinant.
 
     A matrix with none below it stays as it is. Cyclic Jacobi rotations; nothing but ``sqrt`` is needed.

@@ -219,7 +219,7 @@ def _cuboid_shares(
 
 
 @kernel
-def shares_of(model: int, n: int, x: F8, y: F8, cells: I4, body: F8, a: float, lines: F8, shares: F8) -> float:
+def shares_of(model: int, n: int, x: F8, y: F8, cells: I4, body: F8, a: float, lines: F8, shares: F8) -> Scalar:
     """Fill ``shares`` with the shares of point ``n`` in the cells of its footprint, row by row; the largest.
 
     ``lines`` (5, >= cells along x + 1) is scratch.
@@ -238,8 +238,8 @@ def shares_of(model: int, n: int, x: F8, y: F8, cells: I4, body: F8, a: float, l
         )
     if not largest > LEAST_SHARE:
         # The footprint is finer than float64's spacing at its place: all of it lies in the cell of its position.
-        i = min(max(np.int64(math.floor(x[n] / a)) - i0, 0), ni - 1)
-        j = min(max(np.int64(math.floor(y[n] / a)) - j0, 0), nj - 1)
+        i: Scalar = min(max(np.int64(math.floor(x[n] / a)) - i0, 0), ni - 1)
+        j: Scalar = min(max(np.int64(math.floor(y[n] / a)) - j0, 0), nj - 1)
         shares[: ni * nj] = 0.0
         shares[j * ni + i] = 1.0
         largest = 1.0

@@ -45,7 +45,7 @@ def collect_tiles(
     """
     w0, v0, w1, v1 = window
     last_key = np.uint64(0)
-    last_row = np.int64(-1)
+    last_row: Scalar = np.int64(-1)
     for n in range(start, len(x)):
         home[n] = -1
         if reason[n] != 0:

@@ -65,7 +65,7 @@ class RoughMap:
             bounds=bounds,
             levels=levels,
         )
-        threads = numba.config.NUMBA_NUM_THREADS if threads is None else threads
+        threads = numba.config.NUMBA_NUM_THREADS if threads is None else threads  # type: ignore[attr-defined]
         if not isinstance(threads, int) or not 1 <= threads <= 256:
             raise ValueError(f"threads: expected an integer in [1, 256] or None, got {threads!r}")
         self.sequence = 0
