@@ -251,12 +251,16 @@ def test_the_corner_neighbour_lies_three_tiles_away(m: RoughMap) -> None:
         assert frozen.tile_layers(0, 0, ["step_height"])["step_height"][63, 63] == 3.0
 
 
+LENIENT = {"slope": 2.0, "step": 0.6, "range": 0.5}
+"""Limits that the ground of `chance_tile` stays within, so that its least values differ from cell to cell."""
+
+
 def brute_traversability(m: RoughMap, level: int) -> dict[tuple[int, int], float]:
     """The least known traversability of the level-0 cells beneath each cell of a level."""
     found: dict[tuple[int, int], float] = {}
     with m.freeze() as frozen:
         for x, y in frozen.tiles.tolist():
-            plane = frozen.tile_layers(x, y, ["traversability"])["traversability"]
+            plane = frozen.tile_layers(x, y, ["traversability"], limits=LENIENT)["traversability"]
             for j, i in np.argwhere(np.isfinite(plane)).tolist():
                 key = ((x * 64 + i) >> level, (y * 64 + j) >> level)
                 found[key] = min(found.get(key, 1.0), float(plane[j, i]))
@@ -267,11 +271,11 @@ def brute_traversability(m: RoughMap, level: int) -> dict[tuple[int, int], float
 def test_coarse_ground_is_never_safer_than_fine_ground(m: RoughMap, level: int) -> None:
     load(m, {(x, y): chance_tile(x + 5 * y + 50, 0.6) for x in (-3, -1, 0, 1) for y in (-2, -1, 0)})
     expected = brute_traversability(m, level)
-    assert 0.0 < np.mean(list(expected.values())) < 1.0
+    assert 0.0 < min(expected.values()) < max(expected.values()) < 1.0
     with m.freeze(level=level) as frozen:
         known = 0
         for x, y in frozen.tiles.tolist():
-            plane = frozen.tile_layers(x, y, ["traversability"])["traversability"]
+            plane = frozen.tile_layers(x, y, ["traversability"], limits=LENIENT)["traversability"]
             for j, i in np.argwhere(np.isfinite(plane)).tolist():
                 assert plane[j, i] == expected[x * 64 + i, y * 64 + j]
                 known += 1
