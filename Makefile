@@ -42,10 +42,11 @@ bench: $(READY)  ## nanoseconds a point, beside a plain numpy group-by measured 
 schemas: $(READY)  ## schemas/json anew from the models
 	$(BIN)/python -m roughmap_schemas.export
 
-lock: $(READY)  ## requirements.lock anew from pyproject.toml
+lock:  ## requirements.lock anew from pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	test -x $(UV) || $(BIN)/python -m pip install --quiet uv
 	printf 'hatchling>=1.27\neditables>=0.5\n' | $(UV) pip compile pyproject.toml - --universal --python-version 3.11 --extra dev --extra plot \
-	  --generate-hashes --no-emit-index-url --quiet --custom-compile-command 'make lock' --output-file requirements.lock
+	  --no-strip-extras --generate-hashes --no-emit-index-url --quiet --custom-compile-command 'make lock' --output-file requirements.lock
 
 clean:  ## what was built or made by running; not .venv, not logs of yours
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache .coverage

@@ -1,7 +1,7 @@
 """The one way in which kernels are compiled."""
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numba
 
@@ -14,11 +14,11 @@ def kernel(function: F) -> F:
     Without the GIL, cached on disk, and with IEEE division: a Python zero-division check in a loop keeps it from
     being vectorised. ``fastmath`` stays off, so that the same source gives the same bits on every machine.
     """
-    compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    return compiled
+    compiled = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    return cast("F", compiled)
 
 
 def inline(function: F) -> F:
     """The same for small helpers that are always inlined into a kernel by LLVM."""
-    compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy", inline="never", forceinline=True)(function)
-    return compiled
+    compiled = numba.njit(cache=True, nogil=True, error_model="numpy", inline="never", forceinline=True)(function)
+    return cast("F", compiled)

@@ -1,1 +1,117 @@
 """The contract: messages, key expressions, codecs and configuration that the service and its clients share."""
+
+from roughmap_schemas.cloud import Cloud, decode_cloud, encode_cloud
+from roughmap_schemas.config import Config, SensorConfig, configuration_digest
+from roughmap_schemas.config_load import LoadedConfig, config_from, load_config
+from roughmap_schemas.encodings import check_encoding, json_encoding
+from roughmap_schemas.events import (
+    EVENT,
+    CheckpointEvent,
+    Event,
+    IntegrationEvent,
+    ResetEvent,
+    decode_event,
+    encode_event,
+)
+from roughmap_schemas.faults import (
+    ConfigFault,
+    ContractError,
+    Fault,
+    MessageFault,
+    QueryFault,
+    UnknownEventKind,
+)
+from roughmap_schemas.grid import Grid, decode_grid, encode_grid
+from roughmap_schemas.keys import Keys
+from roughmap_schemas.layers import LAYERS, LIMIT_NAMES
+from roughmap_schemas.messages import (
+    BadJson,
+    CellAnswer,
+    CellEntry,
+    CellState,
+    ControlAnswer,
+    MapStatus,
+    QueryError,
+    QueryRecord,
+    Receipt,
+    TileInfo,
+    UpdateRecord,
+    model_bytes,
+    parse_model,
+)
+from roughmap_schemas.odometry import Odometry, decode_odometry, encode_odometry
+from roughmap_schemas.reasons import (
+    INTEGRATED,
+    CloudReason,
+    PointReason,
+    PoseReason,
+    QueryCode,
+    Reason,
+    Refusal,
+)
+from roughmap_schemas.run_metadata import RunMetadata
+from roughmap_schemas.selectors import CellsQuery, RegionQuery, TileQuery
+from roughmap_schemas.transform import Transform, decode_transform, encode_transform
+
+__all__ = [
+    "EVENT",
+    "INTEGRATED",
+    "LAYERS",
+    "LIMIT_NAMES",
+    "BadJson",
+    "CellAnswer",
+    "CellEntry",
+    "CellState",
+    "CellsQuery",
+    "CheckpointEvent",
+    "Cloud",
+    "CloudReason",
+    "Config",
+    "ConfigFault",
+    "ContractError",
+    "ControlAnswer",
+    "Event",
+    "Fault",
+    "Grid",
+    "IntegrationEvent",
+    "Keys",
+    "LoadedConfig",
+    "MapStatus",
+    "MessageFault",
+    "Odometry",
+    "PointReason",
+    "PoseReason",
+    "QueryCode",
+    "QueryError",
+    "QueryFault",
+    "QueryRecord",
+    "Reason",
+    "Receipt",
+    "Refusal",
+    "RegionQuery",
+    "ResetEvent",
+    "RunMetadata",
+    "SensorConfig",
+    "TileInfo",
+    "TileQuery",
+    "Transform",
+    "UnknownEventKind",
+    "UpdateRecord",
+    "check_encoding",
+    "config_from",
+    "configuration_digest",
+    "decode_cloud",
+    "decode_event",
+    "decode_grid",
+    "decode_odometry",
+    "decode_transform",
+    "encode_cloud",
+    "encode_event",
+    "encode_grid",
+    "encode_odometry",
+    "encode_transform",
+    "json_encoding",
+    "load_config",
+    "model_bytes",
+    "parse_model",
+]

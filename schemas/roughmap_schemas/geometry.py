@@ -15,6 +15,9 @@ MAX_STAMP_S: Final = 2**32
 MIN_NORM: Final = 1e-6
 """A quaternion shorter than this has no direction worth believing."""
 
+ROUNDING: Final = 4e-15
+"""By how much the squared norm of a normalised quaternion can miss 1: at most twelve roundings of 1.1e-16 each."""
+
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
@@ -55,9 +58,16 @@ def read_rotation(quaternion: Any, what: str) -> Quaternion:
 
 
 def normalised(value: Quaternion) -> Quaternion | None:
-    """Give the quaternion at length one; None if its norm is below 1e-6 or not finite."""
+    """Give the quaternion at length one; None if its norm is below 1e-6 or not finite.
+
+    One that is of length one up to rounding stays as it is: what was normalised, written down and read again has the
+    same bits.
+    """
     x, y, z, w = value
-    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    square = x * x + y * y + z * z + w * w
+    if abs(square - 1.0) <= ROUNDING:
+        return value
+    norm = math.sqrt(square)
     if not MIN_NORM <= norm < math.inf:
         return None
     return x / norm, y / norm, z / norm, w / norm

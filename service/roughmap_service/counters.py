@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 LAG_WINDOW = 10.0
 """Seconds over which lag and rates are told (the design's)."""
 
+OVERLOAD_SECONDS = 2.0
+"""So long after the last cloud dropped for want of room the service still counts as overloaded."""
+
 LAG_SAMPLES = 4096
 """At most so many clouds are remembered for the lag: 400 a second over the window."""
 
@@ -42,6 +45,7 @@ class Counters:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._counts = Counts()
+        self._last_overload = float("-inf")
         self._recent: deque[tuple[float, float, int]] = deque(maxlen=LAG_SAMPLES)
 
     def cloud(self, outcome: str, accepted: int, rejected: dict[str, int], arrival: float | None) -> None:
@@ -53,6 +57,8 @@ class Counters:
                 self._recent.append((now, now - (arrival if arrival is not None else now), accepted))
             else:
                 self._counts.clouds_rejected[outcome] += 1
+                if outcome == "overload":
+                    self._last_overload = time.monotonic()
             self._counts.points_accepted += accepted
             self._counts.points_rejected.update(rejected)
 
@@ -93,6 +99,12 @@ class Counters:
                 c.poses_accepted, Counter(c.poses_rejected), Counter(c.refused), Counter(c.gaps), Counter(c.jumps),
                 c.outputs_dropped,
             )  # fmt: skip
+
+    @property
+    def overloaded(self) -> bool:
+        """Clouds were dropped for want of room within the last seconds."""
+        with self._lock:
+            return time.monotonic() - self._last_overload < OVERLOAD_SECONDS
 
     def _window(self) -> list[tuple[float, float, int]]:
         since = time.monotonic() - LAG_WINDOW

@@ -69,7 +69,7 @@ class RoverPublisher:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for publisher in self._publishers.values():
-            publisher.undeclare()  # type: ignore[no-untyped-call]
+            publisher.undeclare()
 
     def wait_for_listeners(self, seconds: float) -> None:
         """Wait until somebody subscribes to every robot's clouds and poses; NobodyListens after `seconds`."""
@@ -86,7 +86,7 @@ class RoverPublisher:
                 if not _is_heard(publisher) and not heard.wait(max(0.0, deadline - time.monotonic())):
                     raise NobodyListens(f"nobody subscribes to {publisher.key_expr} within {seconds:g} s")
             finally:
-                listener.undeclare()  # type: ignore[no-untyped-call]
+                listener.undeclare()
 
     def put(self, message: Message) -> None:
         """Publish one message with its `message_seq` (8 bytes, little-endian, counted for each key)."""

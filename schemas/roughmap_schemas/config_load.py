@@ -1,0 +1,220 @@
+"""Reading the configuration: file, then environment, then command line, each over the one before.
+
+A fault is one line: whence the value came, the key, what is allowed. Where each value came from is kept.
+"""
+
+import json
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ValidationError
+
+from roughmap_schemas.config import Config
+from roughmap_schemas.faults import ConfigFault
+from roughmap_schemas.keys import TEMPLATES
+
+DEFAULT_FILE: Final = Path("roughmap.toml")
+PREFIX: Final = "ROUGHMAP_"
+MAX_FILE: Final = 1 << 20
+"""Bytes of a configuration file: anything larger is another file."""
+
+FILES_ONLY: Final = ("sensors", "robots")
+"""Tables whose keys are names of frames and robots, which no environment variable can spell."""
+
+DEFAULT: Final = "default"
+
+
+@dataclass(frozen=True)
+class LoadedConfig:
+    """The settings that hold, and whence each came.
+
+    ``sources`` maps dotted keys (``map.cell_size``, ``sensors.lidar.range_sigma``) to "default", "file NAME",
+    "environment NAME" or "command line". ``path`` is the file that was read, None if there was none.
+    """
+
+    config: Config
+    sources: dict[str, str]
+    path: Path | None
+
+    def given(self, dotted: str) -> bool:
+        """Tell whether a setting was given anywhere."""
+        return self.sources.get(dotted, DEFAULT) != DEFAULT
+
+
+def load_config(
+    path: Path | None = None, overrides: Mapping[str, object] | None = None, environ: Mapping[str, str] | None = None
+) -> LoadedConfig:
+    """Read the settings; raises ``ConfigFault``.
+
+    ``path`` None reads ./roughmap.toml if it is there. ``overrides`` are dotted keys from the command line, ``environ``
+    the environment (None: none).
+    """
+    values: dict[str, Any] = {}
+    given: dict[str, str] = {}
+    file = path if path is not None else (DEFAULT_FILE if DEFAULT_FILE.is_file() else None)
+    if file is not None:
+        values = read_toml(file)
+        given.update(dict.fromkeys(_leaves(values), f"file {file}"))
+    for name, text in sorted((environ or {}).items()):
+        if name.startswith(PREFIX):
+            source = f"environment {name}"
+            parts = tuple(name[len(PREFIX) :].lower().split("__"))
+            _put(values, given, parts, _from_text(parts, text, source), source)
+    for dotted, value in (overrides or {}).items():
+        _put(values, given, tuple(dotted.split(".")), value, "command line")
+    config = _validated(values, given, str(file) if file is not None else "configuration")
+    sources = {dotted: given.get(dotted, DEFAULT) for dotted in _leaves(config.model_dump(mode="python"))}
+    for dotted in sources:
+        # What a robot's sensor doesn't set itself comes from the general table of that frame.
+        if dotted.startswith("robots.") and dotted not in given:
+            sources[dotted] = given.get(dotted.split(".", 2)[-1], DEFAULT)
+    return LoadedConfig(config, sources, file)
+
+
+def config_from(values: Mapping[str, Any], source: str) -> Config:
+    """Make the settings from a dict such as ``Config.public_dict`` gives; ``source`` is named in faults."""
+    return _validated(dict(values), {}, source)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file; raises ``ConfigFault`` that names the file and, for bad TOML, the line."""
+    try:
+        if path.stat().st_size > MAX_FILE:
+            raise ConfigFault(f"{path}: expected at most {MAX_FILE} bytes of TOML; found {path.stat().st_size}")
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigFault(f"{path}: can't be read: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise ConfigFault(f"{path}: is no UTF-8 text (byte {error.start})") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigFault(f"{path}: is no TOML: {error}") from None
+    except RecursionError:
+        raise ConfigFault(f"{path}: is nested too deep") from None
+
+
+def _leaves(values: Mapping[str, Any]) -> Iterator[str]:
+    """Give the dotted keys: two deep, deeper under sensors and robots; what lies below is a value as a whole."""
+    for section, table in values.items():
+        if not isinstance(table, dict):
+            yield section
+        elif section in FILES_ONLY:
+            yield from _deep(section, table, 1 if section == "sensors" else 3)
+        else:
+            yield from (f"{section}.{key}" for key in table)
+
+
+def _deep(prefix: str, table: Mapping[str, Any], depth: int) -> Iterator[str]:
+    for key, value in table.items():
+        dotted = f"{prefix}.{key}"
+        if depth and isinstance(value, dict):
+            yield from _deep(dotted, value, depth - 1)
+        else:
+            yield dotted
+
+
+def _put(values: dict[str, Any], given: dict[str, str], parts: tuple[str, ...], value: object, source: str) -> None:
+    """Set one value over what is there; raises ``ConfigFault`` for a key that doesn't exist."""
+    dotted = ".".join(parts)
+    if parts[0] in FILES_ONLY:
+        raise ConfigFault(f"{source}: {dotted}: {parts[0]} can be set in a file only, as [{parts[0]}.NAME] tables")
+    section = _section(parts[0])
+    if section is None or len(parts) < 2:
+        raise ConfigFault(f"{source}: {dotted}: unknown key (allowed: SECTION.KEY with {', '.join(_sections())})")
+    allowed = tuple(TEMPLATES) if parts[0] == "keys" else tuple(section.model_fields)
+    if parts[1] not in allowed or len(parts) > (3 if parts[:2] == ("map", "limits") else 2):
+        raise ConfigFault(f"{source}: {dotted}: unknown key (allowed in {parts[0]}: {', '.join(allowed)})")
+    table = values.setdefault(parts[0], {})
+    if not isinstance(table, dict):
+        raise ConfigFault(f"{given.get(parts[0], 'configuration')}: {parts[0]}: must be a table")
+    if len(parts) == 3:
+        present = table.get(parts[1], Config().map.limits)
+        value = {**(present if isinstance(present, dict) else {}), parts[2]: value}
+    table[parts[1]] = value
+    given[".".join(parts[:2])] = source
+
+
+def _sections() -> list[str]:
+    return [name for name in Config.model_fields if name not in FILES_ONLY]
+
+
+def _section(name: str) -> type[BaseModel] | None:
+    """Give a section's model (``keys`` is a plain table and gives the whole's)."""
+    if name == "keys":
+        return Config
+    field = Config.model_fields.get(name)
+    annotation = field.annotation if field is not None else None
+    return annotation if isinstance(annotation, type) and issubclass(annotation, BaseModel) else None
+
+
+def _from_text(parts: tuple[str, ...], text: str, source: str) -> object:
+    """Read a variable's value: lists and tables as JSON, all else as the text that it is."""
+    if not text.lstrip().startswith(("[", "{")):
+        return text
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        raise ConfigFault(f"{source}: {'.'.join(parts)}: must be JSON; found {text[:80]!r}") from None
+
+
+def _validated(values: dict[str, Any], given: Mapping[str, str], otherwise: str) -> Config:
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        raise ConfigFault(_line(error, given, otherwise)) from None
+
+
+def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> str:
+    """Put the first fault into one line."""
+    errors = error.errors(include_url=False, include_context=False)
+    first = errors[0]
+    parts = tuple(str(part) for part in first["loc"] if part != "[key]")
+    dotted = ".".join(parts)
+    text = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    if first["type"] == "extra_forbidden":
+        text = f"unknown key (allowed: {', '.join(_allowed(parts[:-1]))})"
+    elif first["type"] == "missing":
+        text = "is required"
+    elif first["type"] == "string_pattern_mismatch":
+        text = f"must match {text.partition(' pattern ')[2]}; found {_found(first['input'])}"
+    elif first["type"] in ("model_type", "dict_type"):
+        text = f"must be a table; found {_found(first['input'])}"
+    elif dotted and not text.startswith(f"{dotted}.") and "found" not in text:
+        text = f"{text}; found {_found(first['input'])}"
+    key, colon, rest = text.partition(": ")
+    if colon and " " not in key and (not dotted or key.startswith(f"{dotted}.")):
+        # A check over several settings names the one that it is about by itself.
+        dotted, text = key, rest
+    source = next((given[known] for known in _prefixes(dotted) if known in given), otherwise)
+    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+    return f"{source.removeprefix('file ')}: {dotted}: {text}{more}".replace("\n", " ")
+
+
+def _prefixes(dotted: str) -> Iterator[str]:
+    parts = dotted.split(".")
+    for length in range(len(parts), 0, -1):
+        yield ".".join(parts[:length])
+
+
+def _allowed(parts: tuple[str, ...]) -> tuple[str, ...]:
+    """Give the keys of the table at ``parts``."""
+    model: type[BaseModel] = Config
+    names = list(parts)
+    while names:
+        name = names.pop(0)
+        field = model.model_fields.get(name)
+        if field is None:
+            continue  # a frame's or a robot's name
+        inner = field.annotation
+        arguments: tuple[Any, ...] = getattr(inner, "__args__", ())
+        inner = arguments[1] if len(arguments) == 2 else inner
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            model = inner
+    return tuple(model.model_fields)
+
+
+def _found(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

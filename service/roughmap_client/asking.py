@@ -1,0 +1,118 @@
+"""One query over Zenoh, with a time limit: everything that comes, and how it ended."""
+
+import threading
+from dataclasses import dataclass, field
+
+import zenoh
+
+from roughmap_client.errors import IncompleteAnswer, MixedInstances, NoAnswer, QueryRefused, UnreadableAnswer
+from roughmap_schemas.encodings import UNSAID
+from roughmap_schemas.messages import QueryError
+
+GRACE_S = 1.0
+"""How long past the time limit Zenoh may take to say that it is over."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One reply: its key, its bytes, its attachment, and the session entity that it came from."""
+
+    key: str
+    payload: bytes
+    attachment: bytes
+    encoding: str
+    replier: str
+
+    def check_encoding(self, expected: str) -> None:
+        """Raises ``UnreadableAnswer`` unless the reply says that it is of this kind, or nothing."""
+        if self.encoding not in UNSAID and self.encoding != expected:
+            raise UnreadableAnswer(f"expected an answer as {expected}; found {self.encoding[:200]!r} on {self.key}")
+
+
+@dataclass(slots=True)
+class Answer:
+    """All that came to one query, in the order of arrival."""
+
+    parts: list[Part] = field(default_factory=list)
+    errors: list[tuple[bytes, str]] = field(default_factory=list)
+    timed_out: bool = False
+
+    def whole(self) -> list[Part]:
+        """The parts; raises ``QueryRefused`` if an error came, ``IncompleteAnswer`` or ``NoAnswer`` if time ran out.
+
+        No part and no error is an empty list: nothing that was asked for is there, or nobody is.
+        """
+        for payload, encoding in self.errors:
+            try:
+                fault = QueryError.model_validate_json(payload)
+            except ValueError:
+                raise UnreadableAnswer(f"an error of the encoding {encoding!r}: {payload[:200]!r}") from None
+            raise QueryRefused(str(fault.code), fault.message)
+        if self.timed_out and self.parts:
+            raise IncompleteAnswer(f"the time limit came after {len(self.parts)} replies")
+        if self.timed_out:
+            raise NoAnswer("no reply came within the time limit")
+        return self.parts
+
+    def single(self) -> Part:
+        """The one reply that there must be; also raises ``MixedInstances`` for several and ``NoAnswer`` for none."""
+        parts = self.whole()
+        if not parts:
+            raise NoAnswer("nobody answers on these keys")
+        if len(parts) > 1:
+            raise MixedInstances(f"{len(parts)} services answered on {parts[0].key}")
+        return parts[0]
+
+
+def ask(
+    session: zenoh.Session,
+    selector: str,
+    *,
+    timeout: float,
+    payload: bytes | None = None,
+    encoding: str | None = None,
+) -> Answer:
+    """Ask, and wait at most ``timeout`` seconds for the last reply.
+
+    Consolidation is NONE: replies come as they are sent. The callback only copies and appends, so Zenoh's queue between
+    network and callback stays short however many tiles come.
+    """
+    answer = Answer()
+    ended = threading.Event()
+    lock = threading.Lock()
+
+    def take(reply: zenoh.Reply) -> None:
+        sample, error = reply.ok, reply.err
+        with lock:
+            if ended.is_set():
+                return
+            if sample is not None:
+                attachment = sample.attachment
+                answer.parts.append(
+                    Part(
+                        key=str(sample.key_expr),
+                        payload=sample.payload.to_bytes(),
+                        attachment=b"" if attachment is None else attachment.to_bytes(),
+                        encoding=str(sample.encoding),
+                        replier=str(reply.replier_id),
+                    )
+                )
+            elif reply.replier_id is None:
+                answer.timed_out = True  # Zenoh's own word at the time limit; a service's error names its replier
+            elif error is not None:
+                answer.errors.append((error.payload.to_bytes(), str(error.encoding)))
+
+    session.get(
+        selector,
+        zenoh.handlers.Callback(take, ended.set),
+        target=zenoh.QueryTarget.ALL_COMPLETE,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        timeout=timeout,
+        payload=payload,
+        encoding=encoding,
+    )
+    if not ended.wait(timeout + GRACE_S):
+        with lock:
+            ended.set()
+            answer.timed_out = True
+    return answer

@@ -1,0 +1,162 @@
+"""The only writer of the map: what an event does, the same live, in a replay and in recovery."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from roughmap import AddReport, RoughMap, Scan, TooManyTiles
+from roughmap_schemas import (
+    CheckpointEvent,
+    Cloud,
+    CloudReason,
+    Event,
+    IntegrationEvent,
+    Odometry,
+    PoseReason,
+    ResetEvent,
+    Transform,
+)
+
+from .inbox import INTEGRATED
+from .poses import Pose, PoseBuffer, trajectory
+from .settings import Settings
+
+MAX_OFFSET_NS = 1_000_000_000
+"""A point's own time lies at most so long after its cloud's stamp (the design's)."""
+
+PLACED = (INTEGRATED, CloudReason.EMPTY, CloudReason.TOO_MANY_TILES)
+"""Outcomes that only placing the cloud tells; all others are known before."""
+
+
+class RunError(Exception):
+    """A log that does not hold what its events name."""
+
+
+@dataclass
+class RunState:
+    """A run at one place of its log: the map, and what of the inputs still bears on it.
+
+    Everything here follows from the log's records in their order; no clock and no timer has a part in it.
+    """
+
+    settings: Settings
+    map: RoughMap
+    epoch: int = 0
+    input: int = 0
+    record: int = 0
+    poses: dict[str, PoseBuffer] = field(default_factory=dict)
+    clouds: dict[int, Cloud] = field(default_factory=dict)
+
+    def take_cloud(self, number: int, cloud: Cloud) -> None:
+        """A cloud was logged; it stays until its event."""
+        self.clouds[number] = cloud
+
+    def take_odometry(self, number: int, robot: str, odometry: Odometry) -> tuple[PoseReason | None, bool]:
+        """An odometry was logged: see `PoseBuffer.add`."""
+        return self.buffer(robot).add(odometry, number)
+
+    def take_transform(self, number: int, robot: str, transform: Transform) -> PoseReason | None:
+        """A transform was logged: see `PoseBuffer.add_transform`."""
+        return self.buffer(robot).add_transform(transform, number)
+
+    def use(self, settings: Settings) -> None:
+        """Go on under other settings, as a new file of the log says."""
+        self.settings = settings
+        for buffer in self.poses.values():
+            buffer.history_ns = settings.history_ns
+            buffer.jump_m, buffer.jump_rad = settings.jump_m, settings.jump_rad
+
+    def apply(self, event: Event) -> Event:
+        """Do what the event says and return it as it came out.
+
+        Live, the event is a proposal, and what is returned is logged. In a replay it is the logged event, and what is
+        returned must equal it. RunError if it names an input that is not there.
+        """
+        if isinstance(event, IntegrationEvent):
+            return self._integrate(event)
+        if isinstance(event, ResetEvent):
+            self.map.reset()
+            self.epoch += 1
+            return ResetEvent(epoch=self.epoch, sequence=self.map.sequence)
+        return CheckpointEvent(epoch=self.epoch, sequence=self.map.sequence, digest=self.map.digest())
+
+    def _integrate(self, event: IntegrationEvent) -> IntegrationEvent:
+        cloud = self.clouds.pop(event.input, None)
+        if cloud is None:
+            raise RunError(f"an event names input {event.input}, which is no undecided cloud of this log")
+        outcome, accepted, rejected = str(event.outcome), 0, dict[str, int]()
+        if event.outcome in PLACED:
+            try:
+                poses = self.buffer(event.robot).named(event.poses)
+            except KeyError as missing:
+                raise RunError(
+                    f"the event of input {event.input} names odometry and transform {missing}, which are not among the "
+                    f"poses of {event.robot} at that place of the log"
+                ) from None
+            try:
+                report = integrate(self.map, event.robot, cloud, poses, self.settings)
+                accepted, rejected = report.accepted, dict(report.rejected)
+                outcome = INTEGRATED if accepted else CloudReason.EMPTY
+            except TooManyTiles:
+                outcome = CloudReason.TOO_MANY_TILES
+        return event.model_copy(
+            update={
+                "epoch": self.epoch,
+                "outcome": outcome,
+                "accepted": accepted,
+                "rejected": rejected,
+                "sequence": self.map.sequence,
+            }
+        )
+
+    def buffer(self, robot: str) -> PoseBuffer:
+        """The robot's pose buffer, made when it is first heard."""
+        if robot not in self.poses:
+            s = self.settings
+            self.poses[robot] = PoseBuffer(s.frame_id, s.history_ns, s.jump_m, s.jump_rad)
+        return self.poses[robot]
+
+
+def integrate(rough_map: RoughMap, robot: str, cloud: Cloud, poses: Sequence[Pose], settings: Settings) -> AddReport:
+    """Place a cloud and add it to the map. TooManyTiles before any cell is written."""
+    limits = {"max_new_tiles": settings.max_new_tiles, "max_tiles": settings.max_tiles}
+    if cloud.frame_id == settings.frame_id:
+        return _integrate_placed(rough_map, cloud, settings, limits)
+    sensor = settings.sensor(robot, cloud.frame_id)
+    if sensor is None:
+        raise RunError(f"sensor {cloud.frame_id} of {robot} is in no configuration of this log")
+    scan = Scan(
+        cloud.points,
+        cloud.stamp_ns,
+        offsets_ns=cloud.offsets_ns,
+        translation=sensor.translation,
+        rotation=sensor.rotation,
+    )
+    line = trajectory(poses, settings.pose_covariance)
+    return rough_map.add_scan(scan, line, sensor.noise, sensor.limits, **limits)
+
+
+def _integrate_placed(rough_map: RoughMap, cloud: Cloud, settings: Settings, limits: Mapping[str, int]) -> AddReport:
+    """A cloud in the map's own frame: no pose, no limits of a sensor, one covariance for all its points."""
+    points = np.asarray(cloud.points)
+    if cloud.offsets_ns is None:
+        return rough_map.add(points, settings.placed_covariance, cloud.stamp_ns, **limits)
+    off = (cloud.offsets_ns < 0) | (cloud.offsets_ns > MAX_OFFSET_NS)
+    off &= np.isfinite(points).all(axis=1)  # a point that isn't finite is counted as that, whatever its time
+    stamps = cloud.stamp_ns + np.clip(cloud.offsets_ns, 0, MAX_OFFSET_NS)
+    report = rough_map.add(points[~off], settings.placed_covariance, stamps[~off], **limits)
+    late = int(np.count_nonzero(off))
+    return AddReport(report.accepted, report.rejected | ({"time": late} if late else {}), report.tiles)
+
+
+def span(cloud: Cloud) -> tuple[int, int]:
+    """First and last time of a cloud's points in ns, without those whose own time is off; its stamp if none is left."""
+    if cloud.offsets_ns is None or not len(cloud.offsets_ns):
+        return cloud.stamp_ns, cloud.stamp_ns
+    offsets = cloud.offsets_ns
+    if int(offsets.min()) < 0 or int(offsets.max()) > MAX_OFFSET_NS:
+        offsets = offsets[(offsets >= 0) & (offsets <= MAX_OFFSET_NS)]
+        if not len(offsets):
+            return cloud.stamp_ns, cloud.stamp_ns
+    return cloud.stamp_ns + int(offsets.min()), cloud.stamp_ns + int(offsets.max())

@@ -1,0 +1,52 @@
+"""The tiles that a reset emptied, so that readers of the map before it learn which of theirs are gone."""
+
+import threading
+
+import numpy as np
+import numpy.typing as npt
+
+from roughmap import RoughMap
+
+Tiles = npt.NDArray[np.int32]
+
+
+class Emptied:
+    """Level-0 tiles known before a reset, at most 8 bytes each; kept for the life of the process.
+
+    ``note`` is called with the map held, right before `RoughMap.reset`.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._tiles: Tiles = np.empty((0, 2), np.int32)
+        self.sequence = 0
+        """The map's sequence that the last reset made."""
+
+    def note(self, rough_map: RoughMap) -> None:
+        """Remember the tiles that the map holds now, beside those of earlier resets."""
+        with rough_map.freeze(0) as frozen:
+            tiles = np.array(frozen.tiles, np.int32, copy=True).reshape(-1, 2)
+        with self._lock:
+            self.sequence = rough_map.sequence + 1
+            self._tiles = np.unique(np.concatenate([self._tiles, tiles]), axis=0)
+
+    def tiles(self, level: int, present: Tiles) -> Tiles:
+        """(T, 2) tiles of a level that were known before a reset and are not among ``present``, ascending by (x, y)."""
+        with self._lock:
+            tiles = self._tiles
+        if not len(tiles):
+            return tiles
+        return without(np.unique(tiles >> level, axis=0), present)
+
+
+def without(tiles: Tiles, others: Tiles) -> Tiles:
+    """The rows of the first (T, 2) that are no rows of the second, in their order."""
+    if not len(tiles) or not len(others):
+        return tiles
+    return tiles[~np.isin(_packed(tiles), _packed(others))]
+
+
+def _packed(tiles: Tiles) -> npt.NDArray[np.int64]:
+    wide: npt.NDArray[np.int64] = tiles.astype(np.int64)
+    packed: npt.NDArray[np.int64] = (wide[:, 0] << 32) | (wide[:, 1] & 0xFFFFFFFF)
+    return packed

@@ -1,0 +1,139 @@
+"""Which cloud is decided next, and how: a pure state machine over clouds, poses and a clock that it is told."""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from roughmap_schemas import Cloud, CloudReason
+
+from .poses import Pose, PoseBuffer, too_far_apart, too_fast
+from .settings import Settings
+
+INTEGRATED = "integrated"
+
+
+@dataclass(frozen=True, slots=True)
+class WaitingCloud:
+    """A logged cloud without a decision. ``arrival`` in monotonic seconds; an ingested one is never dropped."""
+
+    input: int
+    robot: str
+    cloud: Cloud
+    first_ns: int
+    last_ns: int
+    arrival: float
+    size: int
+    ingested: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What is to be done with a cloud: place it with these poses, or end it for a reason."""
+
+    cloud: WaitingCloud
+    outcome: str
+    poses: tuple[Pose, ...] = ()
+
+
+@dataclass
+class Inbox:
+    """Clouds in order of arrival a robot; robots don't wait for each other.
+
+    ``poses`` is the robots' pose buffers, which others fill. Wall time is never compared with stamps: the only clock
+    is the monotonic one of `arrival` and `tick`.
+    """
+
+    settings: Settings
+    poses: Mapping[str, PoseBuffer]
+    queues: dict[str, deque[WaitingCloud]] = field(default_factory=dict)
+    ended: deque[Decision] = field(default_factory=deque)
+    size: int = 0
+
+    @property
+    def waiting(self) -> int:
+        """Clouds without a decision."""
+        return sum(len(queue) for queue in self.queues.values())
+
+    def has_room(self, size: int) -> bool:
+        """Whether a cloud of ``size`` bytes fits without ending another."""
+        return self.size + size <= self.settings.queue_limit
+
+    def feed(self, cloud: WaitingCloud) -> None:
+        """A cloud was logged. Past the limit the oldest published cloud of the robot that holds most ends."""
+        self.queues.setdefault(cloud.robot, deque()).append(cloud)
+        self.size += cloud.size
+        while self.size > self.settings.queue_limit:
+            victim = self._victim()
+            if victim is None:
+                return
+            self._end(victim, CloudReason.OVERLOAD)
+
+    def clock_reset(self, robot: str) -> None:
+        """The robot's clock was set back: what waits for the old clock's poses waits in vain."""
+        for cloud in list(self.queues.get(robot, ())):
+            self._end(cloud, CloudReason.CLOCK_RESET)
+
+    def tick(self, now: float) -> Decision | None:
+        """The next decision at monotonic time ``now``, or None. Of several robots' clouds the oldest comes first."""
+        if self.ended:
+            return self.ended.popleft()
+        for cloud in sorted((queue[0] for queue in self.queues.values()), key=lambda c: c.input):
+            decision = self._judge(cloud, now)
+            if decision is not None:
+                self._remove(cloud)
+                return decision
+        return None
+
+    def deadline(self) -> float | None:
+        """The monotonic time at which the next wait ends; None when nothing waits."""
+        if self.ended:
+            return 0.0
+        if not self.queues:
+            return None
+        return min(queue[0].arrival for queue in self.queues.values()) + self.settings.max_wait
+
+    def oldest_input(self) -> int | None:
+        """The smallest input number without a decision: the low-water position."""
+        waiting = [cloud.input for queue in self.queues.values() for cloud in queue]
+        waiting += [decision.cloud.input for decision in self.ended]
+        return min(waiting, default=None)
+
+    def _judge(self, cloud: WaitingCloud, now: float) -> Decision | None:
+        if cloud.cloud.frame_id == self.settings.frame_id:
+            return Decision(cloud, INTEGRATED)
+        buffer = self.poses.get(cloud.robot)
+        if buffer is not None:
+            if cloud.first_ns < buffer.horizon_ns:
+                return Decision(cloud, CloudReason.LATE)
+            if buffer.covers(cloud.first_ns, cloud.last_ns):
+                poses = tuple(buffer.window(cloud.first_ns, cloud.last_ns))
+                if too_far_apart(poses, self.settings.max_pose_gap_ns):
+                    return Decision(cloud, CloudReason.POSE_GAP, poses)
+                if too_fast(poses, self.settings.max_speed, self.settings.max_turn):
+                    return Decision(cloud, CloudReason.POSE_JUMP, poses)
+                return Decision(cloud, INTEGRATED, poses)
+        if now - cloud.arrival >= self.settings.max_wait:
+            return Decision(cloud, CloudReason.NO_POSE)
+        return None
+
+    def _victim(self) -> WaitingCloud | None:
+        held = {robot: sum(cloud.size for cloud in queue) for robot, queue in self.queues.items()}
+        for robot in sorted(held, key=lambda name: held[name], reverse=True):
+            for cloud in self.queues[robot]:
+                if not cloud.ingested:
+                    return cloud
+        return None
+
+    def _end(self, cloud: WaitingCloud, reason: CloudReason) -> None:
+        self._remove(cloud)
+        self.ended.append(Decision(cloud, reason))
+
+    def _remove(self, cloud: WaitingCloud) -> None:
+        queue = self.queues[cloud.robot]
+        if queue[0] is cloud:
+            queue.popleft()
+        else:
+            queue.remove(cloud)
+        if not queue:
+            del self.queues[cloud.robot]
+        self.size -= cloud.size

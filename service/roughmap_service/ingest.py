@@ -1,0 +1,112 @@
+"""Answers to ingest requests, sent from a thread that may be held up; and the memory for duplicates."""
+
+import logging
+import queue
+import threading
+from collections import OrderedDict
+from collections.abc import Iterable
+from types import TracebackType
+from typing import Self
+
+import xxhash
+import zenoh
+
+from roughmap_schemas import Fault, QueryError, Receipt, model_bytes
+from roughmap_schemas.encodings import json_encoding
+
+from .log_file import Kind
+
+log = logging.getLogger(__name__)
+
+RECEIPT = json_encoding("Receipt")
+QUERY_ERROR = json_encoding("QueryError")
+
+MAX_REPLIES = 10_000
+"""Answers on their way out. A client that hears nothing sends again, so one dropped at this limit does no harm."""
+
+
+class Replies:
+    """Sends answers from its own thread: a client that stops reading holds a reply for 5 s; the log must not wait."""
+
+    def __init__(self) -> None:
+        self._queue: queue.Queue[tuple[zenoh.Query, bytes, bool] | None] = queue.Queue(MAX_REPLIES)
+        self._thread = threading.Thread(target=self._run, name="replies", daemon=True)
+        self._thread.start()
+
+    def send(self, query: zenoh.Query, payload: bytes, *, is_error: bool) -> None:
+        """Queue an answer; never blocks."""
+        try:
+            self._queue.put_nowait((query, payload, is_error))
+        except queue.Full:
+            query.drop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._queue.put(None)
+        self._thread.join(6.0)
+
+    def _run(self) -> None:
+        while (item := self._queue.get()) is not None:
+            query, payload, is_error = item
+            try:
+                if is_error:
+                    query.reply_err(payload, encoding=QUERY_ERROR)
+                else:
+                    query.reply(query.key_expr, payload, encoding=RECEIPT)
+            except zenoh.ZError as error:
+                log.debug("a receipt could not be sent: %s", error)
+            finally:
+                query.drop()
+
+
+class IngestReply:
+    """The answer that one ingest request waits for."""
+
+    def __init__(self, query: zenoh.Query, replies: Replies) -> None:
+        self._query = query
+        self._replies = replies
+
+    def receipt(self, receipt: Receipt) -> None:
+        """The log holds the message, on the disk."""
+        self._replies.send(self._query, model_bytes(receipt), is_error=False)
+
+    def refuse(self, fault: Fault) -> None:
+        """The message was not logged."""
+        error = QueryError(code=fault.code, message=fault.message)
+        self._replies.send(self._query, model_bytes(error), is_error=True)
+
+
+class Duplicates:
+    """The last messages by robot, kind and the 128-bit hash of their bytes, each with the input number it got."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._seen: OrderedDict[tuple[str, str, str], int] = OrderedDict()
+
+    @staticmethod
+    def identity(robot: str, kind: Kind, payload: bytes) -> tuple[str, str, str]:
+        """What makes two messages the same one."""
+        return robot, kind.value, xxhash.xxh3_128_hexdigest(payload)
+
+    def find(self, identity: tuple[str, str, str]) -> int | None:
+        """The input number of that message, None if it is not among the last ones."""
+        return self._seen.get(identity)
+
+    def add(self, identity: tuple[str, str, str], number: int) -> None:
+        """Remember a message, forgetting the oldest past the limit."""
+        self._seen[identity] = number
+        while len(self._seen) > self._limit:
+            self._seen.popitem(last=False)
+
+    def to_state(self) -> list[tuple[str, str, str, int]]:
+        """All, oldest first."""
+        return [(*identity, number) for identity, number in self._seen.items()]
+
+    def load_state(self, state: Iterable[tuple[str, str, str, int]]) -> None:
+        """The inverse of `to_state`."""
+        for robot, kind, digest, number in state:
+            self.add((robot, kind, digest), number)

@@ -1,0 +1,221 @@
+"""From Zenoh's threads to the sequencer: what is let in, and what is dropped when too much comes."""
+
+import logging
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Protocol, Self
+
+import zenoh
+
+from roughmap_schemas import Keys, MessageFault, Refusal, check_encoding, encodings
+
+from .counters import Counters
+from .ingest import IngestReply, Replies
+from .log_file import Kind
+
+log = logging.getLogger(__name__)
+
+MAX_POSES_QUEUED = 10_000
+"""Poses and transforms between Zenoh and the sequencer: seconds of many robots, and a few MB."""
+
+
+@dataclass(slots=True)
+class InputMessage:
+    """An input that passed the checks on its key, encoding and size, not yet decoded."""
+
+    kind: Kind
+    robot: str
+    payload: bytes
+    received_ns: int
+    arrival: float
+    reply: IngestReply | None = None
+
+
+class Command(Protocol):
+    """Something that is to be done between two inputs, in the sequencer's thread."""
+
+    def __call__(self) -> None: ...
+
+
+@dataclass
+class Intake:
+    """A bounded queue. When clouds fill it, the oldest published one of the robot that holds most is dropped; no pose
+    is ever dropped for a cloud's sake, and an ingested message is answered ``busy`` instead.
+    """
+
+    limit: int
+    counters: Counters
+    _items: deque[InputMessage] = field(default_factory=deque)
+    _commands: deque[Command] = field(default_factory=deque)
+    _held: Counter[str] = field(default_factory=Counter)
+    _poses: int = 0
+    _wake: threading.Condition = field(default_factory=threading.Condition)
+    closed: bool = False
+
+    def put(self, message: InputMessage) -> None:
+        """Queue a message, or drop one and count it."""
+        with self._wake:
+            refused = self._admit(message)
+            self._wake.notify()
+        if refused is not None:
+            code = Refusal.SHUTTING_DOWN if self.closed else Refusal.BUSY
+            self.counters.refuse(code)
+            if refused.reply is not None:
+                refused.reply.refuse(MessageFault(code, "the service is ending" if self.closed else "try again"))
+
+    def command(self, command: Command) -> None:
+        """Queue something to be done in the sequencer's thread."""
+        with self._wake:
+            self._commands.append(command)
+            self._wake.notify()
+
+    def take(self, timeout: float) -> tuple[list[InputMessage], list[Command]]:
+        """All that is queued, after waiting at most ``timeout`` s for something."""
+        with self._wake:
+            self._wake.wait_for(lambda: self._items or self._commands or self.closed, timeout)
+            items, commands = list(self._items), list(self._commands)
+            self._items.clear()
+            self._commands.clear()
+            self._held.clear()
+            self._poses = 0
+            return items, commands
+
+    def close(self) -> None:
+        """Let nothing more in; what is queued can still be taken."""
+        with self._wake:
+            self.closed = True
+            self._wake.notify()
+
+    def _admit(self, message: InputMessage) -> InputMessage | None:
+        """Take the message in; returns the one that had to go, if any."""
+        if self.closed:
+            return message
+        if message.kind is not Kind.POINTS:
+            if self._poses >= MAX_POSES_QUEUED:
+                return message
+            self._poses += 1
+            self._items.append(message)
+            return None
+        size = len(message.payload)
+        dropped = None
+        if self._held.total() + size > self.limit and self._items:
+            if message.reply is not None:
+                return message
+            dropped = self._oldest_of_the_largest() or message
+            if dropped is message:
+                return message
+            self._items.remove(dropped)
+            self._held[dropped.robot] -= len(dropped.payload)
+        self._held[message.robot] += size
+        self._items.append(message)
+        return dropped
+
+    def _oldest_of_the_largest(self) -> InputMessage | None:
+        for robot, _ in self._held.most_common():
+            for item in self._items:
+                if item.kind is Kind.POINTS and item.robot == robot and item.reply is None:
+                    return item
+        return None
+
+
+class ZenohInputs:
+    """Subscribers and ingest queryables of one session, a context manager that undeclares them.
+
+    Callbacks run in Zenoh's own threads (``indirect=False``): they check, copy the payload once and queue it. So there
+    is one queue, ours, whose limit and drop policy are `Intake`'s; none of Zenoh's stands before it.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, keys: Keys, intake: Intake, replies: Replies, max_message: int, counters: Counters
+    ) -> None:
+        self._intake = intake
+        self._replies = replies
+        self._max_message = max_message
+        self._counters = counters
+        self._sequences: dict[tuple[str, Kind], int] = {}
+        self._undeclare: list[Callable[[], object]] = []
+        for kind, key, parse in (
+            (Kind.POINTS, keys.points_any, keys.parse_points),
+            (Kind.ODOMETRY, keys.odometry_any, keys.parse_odometry),
+            (Kind.TRANSFORM, keys.transform_any, keys.parse_transform),
+        ):
+            handler = zenoh.handlers.Callback(self._sample_handler(kind, parse), indirect=False)
+            self._undeclare.append(session.declare_subscriber(key, handler).undeclare)
+        for kind, key, parse in (
+            (Kind.POINTS, keys.ingest_points_any, keys.parse_ingest_points),
+            (Kind.ODOMETRY, keys.ingest_odometry_any, keys.parse_ingest_odometry),
+            (Kind.TRANSFORM, keys.ingest_transform_any, keys.parse_ingest_transform),
+        ):
+            answer = zenoh.handlers.Callback(self._query_handler(kind, parse), indirect=False)
+            self._undeclare.append(session.declare_queryable(key, answer, complete=True).undeclare)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for undeclare in self._undeclare:
+            undeclare()
+
+    def _sample_handler(self, kind: Kind, parse: Callable[[str], str]) -> Callable[[zenoh.Sample], None]:
+        def handle(sample: zenoh.Sample) -> None:
+            try:
+                robot = parse(str(sample.key_expr))
+                if sample.kind == zenoh.SampleKind.DELETE:
+                    raise MessageFault(Refusal.BAD_MESSAGE, "expected a put, found a delete")
+                self._count_gap(robot, kind, sample.attachment)
+                self._check(kind, str(sample.encoding), sample.payload)
+            except MessageFault as fault:
+                self._counters.refuse(fault.code)
+                return
+            payload = sample.payload.to_bytes()
+            self._intake.put(InputMessage(kind, robot, payload, time.time_ns(), time.monotonic()))
+
+        return handle
+
+    def _query_handler(self, kind: Kind, parse: Callable[[str], str]) -> Callable[[zenoh.Query], None]:
+        def handle(query: zenoh.Query) -> None:
+            reply = IngestReply(query, self._replies)
+            try:
+                robot = parse(str(query.key_expr))
+                payload = query.payload
+                if payload is None:
+                    raise MessageFault(Refusal.BAD_MESSAGE, "expected the message as the request's payload, found none")
+                self._check(kind, str(query.encoding or ""), payload)
+            except MessageFault as fault:
+                self._counters.refuse(fault.code)
+                reply.refuse(fault)
+                return
+            self._intake.put(InputMessage(kind, robot, payload.to_bytes(), time.time_ns(), time.monotonic(), reply))
+
+        return handle
+
+    def _check(self, kind: Kind, encoding: str, payload: zenoh.ZBytes) -> None:
+        check_encoding(encoding, ENCODINGS[kind])
+        if len(payload) > self._max_message:
+            raise MessageFault(
+                Refusal.TOO_LARGE, f"the message has {len(payload)} bytes (input.max_message: {self._max_message})"
+            )
+
+    def _count_gap(self, robot: str, kind: Kind, attachment: zenoh.ZBytes | None) -> None:
+        """Publishers number their messages in an 8-byte attachment; what is missing was lost on the way."""
+        if attachment is None or len(attachment) != 8:
+            return
+        number = int.from_bytes(attachment.to_bytes(), "little")
+        last = self._sequences.get((robot, kind))
+        if last is not None and number > last + 1:
+            self._counters.gap(robot, number - last - 1)
+        if last is not None or len(self._sequences) < MAX_POSES_QUEUED:
+            self._sequences[robot, kind] = number
+
+
+ENCODINGS = {
+    Kind.POINTS: encodings.POINT_CLOUD,
+    Kind.ODOMETRY: encodings.ODOMETRY,
+    Kind.TRANSFORM: encodings.FRAME_TRANSFORM,
+}

@@ -1,0 +1,183 @@
+"""One MCAP file of the log: what stands at its beginning, its channels, and how it gets to the disk."""
+
+import contextlib
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import IO, Any
+
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from google.protobuf.descriptor import FileDescriptor
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from mcap.writer import CompressionType, Writer
+from pydantic import TypeAdapter
+
+from roughmap_schemas import EVENT, QueryRecord, RunMetadata, UpdateRecord
+from roughmap_schemas.run_metadata import RECORD_NAME
+
+CHUNK_BYTES = 64 * 1024
+"""Small chunks lose little to a kill; a scan is larger and has a chunk of its own."""
+
+PROFILE = "roughmap"
+
+COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
+
+OpenFile = Callable[[Path], IO[bytes]]
+
+
+class Kind(StrEnum):
+    """What a channel holds."""
+
+    POINTS = "points"
+    ODOMETRY = "odometry"
+    TRANSFORM = "transform"
+    EVENTS = "events"
+    UPDATES = "updates"
+    GRIDS = "grids"
+    QUERIES = "queries"
+
+
+INPUTS = (Kind.POINTS, Kind.ODOMETRY, Kind.TRANSFORM)
+
+PROTOBUF = {
+    Kind.POINTS: PointCloud.DESCRIPTOR,
+    Kind.ODOMETRY: Odometry.DESCRIPTOR,
+    Kind.TRANSFORM: FrameTransform.DESCRIPTOR,
+    Kind.GRIDS: Grid.DESCRIPTOR,
+}
+JSON: dict[Kind, tuple[str, TypeAdapter[Any]]] = {
+    Kind.EVENTS: ("roughmap.Event", EVENT),
+    Kind.UPDATES: ("roughmap.UpdateRecord", TypeAdapter(UpdateRecord)),
+    Kind.QUERIES: ("roughmap.QueryRecord", TypeAdapter(QueryRecord)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LogRecord:
+    """One message on its way to the log. Times in ns; ``number`` is an input's; epoch and sequence are an event's."""
+
+    kind: Kind
+    topic: str
+    payload: bytes
+    received_ns: int
+    stamp_ns: int
+    number: int = 0
+    epoch: int = 0
+    sequence: int = 0
+
+
+def file_name(run: str, index: int) -> str:
+    """Name of a run's file; names sort as the files were written."""
+    return f"roughmap-{run}-{index:06d}.mcap"
+
+
+def open_new(path: Path) -> IO[bytes]:
+    """Create a file that must not be there yet."""
+    return path.open("xb")
+
+
+def sync_directory(directory: Path) -> None:
+    """Make names created or renamed in a directory durable."""
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+class LogFile:
+    """An open file. Any method may raise OSError; what was flushed before stays readable."""
+
+    def __init__(self, path: Path, metadata: RunMetadata, compression: str, open_file: OpenFile = open_new) -> None:
+        self.path = path
+        self.opened = time.monotonic()
+        self._stream = open_file(path)
+        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=COMPRESSIONS[compression])
+        self._channels: dict[tuple[Kind, str], int] = {}
+        self._schemas: dict[Kind, int] = {}
+        self._last_ns = 0
+        self._writer.start(profile=PROFILE)
+        self._writer.add_metadata(RECORD_NAME, metadata.to_record())
+        self.sync()
+        sync_directory(path.parent)
+
+    @property
+    def size(self) -> int:
+        """Bytes handed to the file so far."""
+        return self._stream.tell()
+
+    def write(self, record: LogRecord) -> None:
+        """Append a message. Order is file order; its log time is its receive time, made to rise."""
+        self._last_ns = max(record.received_ns, self._last_ns + 1)
+        self._writer.add_message(
+            channel_id=self._channel(record.kind, record.topic),
+            log_time=self._last_ns,
+            data=record.payload,
+            publish_time=record.stamp_ns,
+            sequence=record.number & 0xFFFFFFFF,
+        )
+
+    def flush(self) -> int:
+        """End the chunk and hand all to the operating system; returns the length reached."""
+        self._writer.flush()
+        self._stream.flush()
+        return self._stream.tell()
+
+    def sync(self) -> int:
+        """The same, and on the disk."""
+        length = self.flush()
+        os.fsync(self._stream.fileno())
+        return length
+
+    def close(self) -> None:
+        """Footer, fsync, close. The file is never appended to after this."""
+        self._writer.finish()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._stream.close()
+
+    def abandon(self, length: int) -> None:
+        """Cut the file to ``length``, which was synced, and leave it without a footer. OSError if even that fails."""
+        with contextlib.suppress(OSError):  # closing flushes, which is what failed
+            self._stream.close()
+        os.truncate(self.path, length)
+
+    def _channel(self, kind: Kind, topic: str) -> int:
+        if (kind, topic) not in self._channels:
+            encoding = "protobuf" if kind in PROTOBUF else "json"
+            self._channels[kind, topic] = self._writer.register_channel(topic, encoding, self._schema(kind))
+        return self._channels[kind, topic]
+
+    def _schema(self, kind: Kind) -> int:
+        if kind not in self._schemas:
+            if kind in PROTOBUF:
+                name, encoding = PROTOBUF[kind].full_name, "protobuf"
+                data = file_descriptor_set(PROTOBUF[kind].file)
+            else:
+                name, adapter = JSON[kind]
+                encoding, data = "jsonschema", json.dumps(adapter.json_schema(mode="serialization")).encode()
+            self._schemas[kind] = self._writer.register_schema(name, encoding, data)
+        return self._schemas[kind]
+
+
+def file_descriptor_set(file: FileDescriptor) -> bytes:
+    """A protobuf file and all that it imports, imports first."""
+    files: dict[str, FileDescriptor] = {}
+
+    def add(one: FileDescriptor) -> None:
+        for needed in one.dependencies:
+            add(needed)
+        files[one.name] = one
+
+    add(file)
+    found = FileDescriptorSet()
+    for one in files.values():
+        one.CopyToProto(found.file.add())
+    return found.SerializeToString()

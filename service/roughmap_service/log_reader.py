@@ -1,0 +1,215 @@
+"""Reading the log back, in file order, with memory for one chunk at a time."""
+
+import struct
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import zstandard
+from mcap.exceptions import EndOfFile, McapError
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from roughmap_schemas import Config, ContractError, Event, Keys, MessageFault, RunMetadata, decode_event
+from roughmap_schemas.run_metadata import RECORD_NAME
+
+from .log_file import INPUTS, Kind
+
+MAX_RECORD_BYTES = 1 << 30
+"""No record and no unpacked chunk is larger; a damaged length must not become an allocation."""
+
+_DAMAGE = (McapError, struct.error, ValueError, zlib.error, zstandard.ZstdError, RuntimeError, KeyError)
+"""What the reader's libraries raise over bytes that are not what they should be."""
+
+
+class LogError(Exception):
+    """A log that can't be read as one; one line that names the file and what is wrong with it."""
+
+
+class TornLog(LogError):
+    """A file that ends before its footer, as after a kill. What stood before the tear was already given out."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileStart:
+    """The beginning of a file."""
+
+    path: Path
+    metadata: RunMetadata
+    config: Config
+
+
+@dataclass(frozen=True, slots=True)
+class InputRecord:
+    """A logged input. ``number`` counts from 1 over the run, ``record`` inputs and events together; times in ns."""
+
+    number: int
+    record: int
+    kind: Kind
+    robot: str
+    payload: bytes
+    received_ns: int
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class EventRecord:
+    """A logged event."""
+
+    record: int
+    event: Event
+    received_ns: int
+
+
+LogItem = FileStart | InputRecord | EventRecord
+
+
+def raw_records(path: Path) -> Iterator[tuple[McapRecord, int]]:
+    """Schemas, channels, messages and metadata of a file's data section in file order, each with the byte behind it
+    (of a record in a chunk: behind the chunk).
+
+    TornLog at a tear, LogError at damage (checksums are verified) or if the file is none of ours.
+    """
+    with path.open("rb") as stream:
+        try:
+            reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+            for record in reader.records:
+                end = stream.tell()
+                if isinstance(record, DataEnd):
+                    return
+                if not isinstance(record, Chunk):
+                    yield record, end
+                elif record.uncompressed_size > MAX_RECORD_BYTES:
+                    raise LogError(f"{path}: a chunk of {record.uncompressed_size} bytes (at most {MAX_RECORD_BYTES})")
+                else:
+                    for inner in breakup_chunk(record, validate_crc=True):
+                        yield inner, end
+        except EndOfFile:
+            raise TornLog(f"{path}: the file ends before its footer") from None
+        except _DAMAGE as error:
+            raise LogError(
+                f"{path}: damaged at or before byte {stream.tell()}: {error or type(error).__name__}"
+            ) from None
+
+
+def read_metadata(path: Path) -> RunMetadata:
+    """The metadata record at a file's beginning; LogError if the file has none."""
+    try:
+        for record, _ in raw_records(path):
+            if isinstance(record, Metadata) and record.name == RECORD_NAME:
+                return RunMetadata.from_record(record.metadata)
+            if isinstance(record, Message):
+                break
+    except ContractError as error:
+        raise LogError(f"{path}: {error}") from None
+    raise LogError(f"{path}: no log of roughmap (its metadata record '{RECORD_NAME}' is missing)")
+
+
+def read_file(path: Path) -> Iterator[LogItem]:
+    """A file's beginning, inputs and events; outputs and foreign channels are passed over. Errors as `raw_records`."""
+    metadata = read_metadata(path)
+    try:
+        config = Config.model_validate(metadata.configuration)
+    except ValueError as error:
+        raise LogError(f"{path}: its configuration can't be read: {str(error).splitlines()[0]}") from None
+    yield FileStart(path, metadata, config)
+    keys = Keys(config.map.name, config.keys)
+    roles: dict[int, tuple[Kind, str] | None] = {}
+    number, position = metadata.first_input - 1, metadata.first_record - 1
+    for record, _ in raw_records(path):
+        if isinstance(record, Channel):
+            roles[record.id] = role_of(record.topic, keys)
+        elif isinstance(record, Message):
+            role = roles.get(record.channel_id)
+            if role is None:
+                continue
+            position += 1
+            kind, robot = role
+            if kind in INPUTS:
+                number += 1
+                yield InputRecord(number, position, kind, robot, record.data, record.log_time, record.publish_time)
+            else:
+                try:
+                    yield EventRecord(position, decode_event(record.data), record.log_time)
+                except ContractError as error:
+                    raise LogError(f"{path}: event at record {position}: {error}") from None
+
+
+def role_of(topic: str, keys: Keys) -> tuple[Kind, str] | None:
+    """What a channel holds for the run, and of which robot; None for outputs and anything else."""
+    if topic == keys.events:
+        return Kind.EVENTS, ""
+    for kind, parse in (
+        (Kind.POINTS, keys.parse_points),
+        (Kind.ODOMETRY, keys.parse_odometry),
+        (Kind.TRANSFORM, keys.parse_transform),
+    ):
+        try:
+            return kind, parse(topic)
+        except MessageFault:
+            continue
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class RunFile:
+    """A file and what its beginning says."""
+
+    path: Path
+    metadata: RunMetadata
+
+
+def find_files(paths: Iterable[Path]) -> list[RunFile]:
+    """The log files among files and folders, ordered by run and index. LogError for a file that is none."""
+    found: list[RunFile] = []
+    for path in paths:
+        files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+        try:
+            found += [RunFile(file, read_metadata(file)) for file in files]
+        except OSError as error:
+            raise LogError(f"{error.filename}: {error.strerror}") from None
+    return sorted(found, key=lambda file: (file.metadata.run, file.metadata.index))
+
+
+def one_run(files: Sequence[RunFile]) -> list[RunFile]:
+    """Check that the files are one run without a gap. LogError that names what is missing or too much."""
+    if not files:
+        raise LogError("no log files (*.mcap) there")
+    runs = sorted({file.metadata.run for file in files})
+    if len(runs) > 1:
+        raise LogError(f"logs of {len(runs)} runs ({', '.join(run[:8] for run in runs)}...): name those of one")
+    for before, after in pairwise(files):
+        if after.metadata.index != before.metadata.index + 1:
+            raise LogError(
+                f"gap: file {before.metadata.index + 1} of run {runs[0][:8]} is missing "
+                f"between {before.path.name} and {after.path.name}"
+            )
+    return list(files)
+
+
+def read_run(files: Sequence[RunFile]) -> Iterator[LogItem]:
+    """All items of a run's files in order.
+
+    A tear is the end of the last file, and of one that was left behind because the disk failed: that nothing is
+    missing is seen from the numbers with which the next file begins. LogError (gap) where something is.
+    """
+    number = position = 0
+    for at, file in enumerate(files):
+        first = file.metadata
+        if at and (first.first_input, first.first_record) != (number + 1, position + 1):
+            raise LogError(
+                f"gap: {file.path.name} begins with input {first.first_input}, record {first.first_record}; "
+                f"expected {number + 1}, {position + 1}"
+            )
+        number, position = first.first_input - 1, first.first_record - 1
+        try:
+            for item in read_file(file.path):
+                if isinstance(item, InputRecord):
+                    number, position = item.number, item.record
+                elif isinstance(item, EventRecord):
+                    position = item.record
+                yield item
+        except TornLog:
+            continue

@@ -1,0 +1,85 @@
+"""Making a file that a kill left without its footer a whole one, before the run goes on."""
+
+import logging
+import os
+import shutil
+from pathlib import Path
+
+from mcap.records import Channel, Message, Metadata, Schema
+from mcap.writer import CompressionType, Writer
+
+from .log_file import CHUNK_BYTES, PROFILE, sync_directory
+from .log_reader import LogError, raw_records
+
+log = logging.getLogger(__name__)
+
+MAGIC = bytes([137, 77, 67, 65, 80, 48, 13, 10])
+
+
+def is_closed(path: Path) -> bool:
+    """Whether a file ends as one that was closed; such a file is never changed."""
+    with path.open("rb") as stream:
+        if stream.seek(0, os.SEEK_END) < 2 * len(MAGIC):
+            return False
+        stream.seek(-len(MAGIC), os.SEEK_END)
+        return stream.read() == MAGIC
+
+
+def repair(path: Path) -> Path | None:
+    """Rewrite a torn file up to its last whole record, with a footer; the torn rest is kept as ``FILE.torn``.
+
+    Returns that file's path, or None if the file was closed and nothing had to be done. A file whose beginning was
+    never written holds nothing of the run and becomes the ``.torn`` as a whole. The new file is on the disk before it
+    takes the old one's name, so that a kill in here leaves the one or the other.
+    """
+    if is_closed(path):
+        return None
+    torn = path.with_name(path.name + ".torn")
+    whole = path.with_name(path.name + ".part")
+    with whole.open("wb") as stream:
+        writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
+        writer.start(profile=PROFILE)
+        end = _copy(path, writer)
+        writer.finish()
+        stream.flush()
+        os.fsync(stream.fileno())
+    if not end:
+        path.rename(torn)
+        whole.unlink()
+    else:
+        with path.open("rb") as source, torn.open("wb") as rest:
+            source.seek(end)
+            shutil.copyfileobj(source, rest)
+            rest.flush()
+            os.fsync(rest.fileno())
+        whole.rename(path)
+    sync_directory(path.parent)
+    log.warning("%s had no footer: %s whole bytes kept, the rest is in %s", path.name, end, torn.name)
+    return torn
+
+
+def _copy(path: Path, writer: Writer) -> int:
+    """Copy what is whole; returns the byte behind it, 0 if not even the metadata is there."""
+    schemas: dict[int, int] = {0: 0}
+    channels: dict[int, int] = {}
+    end, begun = 0, False
+    try:
+        for record, behind in raw_records(path):
+            if isinstance(record, Metadata):
+                writer.add_metadata(record.name, record.metadata)
+                begun = True
+            elif isinstance(record, Schema):
+                schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+            elif isinstance(record, Channel):
+                channels[record.id] = writer.register_channel(
+                    record.topic, record.message_encoding, schemas[record.schema_id], record.metadata
+                )
+            elif isinstance(record, Message):
+                writer.add_message(
+                    channels[record.channel_id], record.log_time, record.data, record.publish_time, record.sequence
+                )
+            end = behind
+    except LogError:
+        # After a kill only the end can be torn; after a power cut it may hold anything. Either way it ends here.
+        pass
+    return end if begun else 0

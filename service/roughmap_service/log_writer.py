@@ -1,0 +1,292 @@
+"""The log's own thread: appends in order, makes durable in groups, and keeps what a full disk would not take."""
+
+import contextlib
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from roughmap_schemas import RunMetadata
+
+from .log_file import INPUTS, Kind, LogFile, LogRecord, OpenFile, file_name, open_new
+
+log = logging.getLogger(__name__)
+
+RETRY_SECONDS = 1.0
+"""A log that can't be written is tried again so often (the design's)."""
+
+SYNC_SECONDS = 1.0
+"""The disk is asked to keep all at least so often: what came since is held in memory, should the disk fail."""
+
+RECORD_OVERHEAD = 128
+"""Bytes that a queued record costs beside its payload."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sync:
+    """Asks for all before it to be on the disk; then ``done`` is called from the log's thread and must not block."""
+
+    done: Callable[[], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Rotate:
+    """Ends the file. ``digest`` is the map's at this place of the log."""
+
+    digest: str
+
+
+Item = LogRecord | Sync | Rotate
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A place in the run: the last input and record before it, and the epoch and sequence of the last event."""
+
+    input: int
+    record: int
+    epoch: int
+    sequence: int
+
+    def after(self, record: LogRecord) -> "Mark":
+        """The place behind a record."""
+        if record.kind in INPUTS:
+            return Mark(record.number, self.record + 1, self.epoch, self.sequence)
+        if record.kind is Kind.EVENTS:
+            return Mark(self.input, self.record + 1, record.epoch, record.sequence)
+        return self
+
+
+class LogWriter:
+    """Appends the run to files of ``directory``, the first of which begins with ``metadata``; a context manager.
+
+    `put` never blocks and never fails: who must not run ahead of the disk asks `wait_room` first. Whatever is not on
+    the disk yet is kept, so that a file that failed can be left behind and its end written first to the next one.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        metadata: RunMetadata,
+        *,
+        compression: str = "none",
+        flush_interval: float = 0.2,
+        queue_limit: int = 128 << 20,
+        max_file_bytes: int = 1 << 30,
+        max_file_age: float = 3600.0,
+        open_file: OpenFile = open_new,
+    ) -> None:
+        self._directory = directory
+        self._metadata = metadata
+        self._compression = compression
+        self._flush_interval = flush_interval
+        self._queue_limit = queue_limit
+        self._max_file_bytes = max_file_bytes
+        self._max_file_age = max_file_age
+        self._open_file = open_file
+        self._wake = threading.Condition()
+        self._queue: deque[Item] = deque()
+        self._held = 0  # bytes queued or not yet on the disk
+        self._stop = False
+        self._todo: deque[Item] = deque()
+        self._unsynced: list[Item] = []
+        self._mark = self._synced = Mark(
+            metadata.first_input - 1, metadata.first_record - 1, metadata.epoch, metadata.base_sequence
+        )
+        self._file = self._open(metadata)
+        self._length = self._file.size
+        self._last_flush = self._last_sync = time.monotonic()
+        self.ok = True
+        self.error = ""
+        self._thread = threading.Thread(target=self._run, name="log", daemon=True)
+        self._thread.start()
+
+    @property
+    def path(self) -> Path:
+        """The file that is written to now."""
+        return self._file.path
+
+    @property
+    def size(self) -> int:
+        """Bytes of that file that are on the disk."""
+        return self._length
+
+    @property
+    def durable_sequence(self) -> int:
+        """The map's sequence as of the last event on the disk."""
+        return self._synced.sequence
+
+    def put(self, item: Item) -> None:
+        """Queue an item; it is written after all that was queued before it."""
+        with self._wake:
+            self._queue.append(item)
+            self._held += _cost(item)
+            self._wake.notify_all()
+
+    def put_output(self, record: LogRecord) -> bool:
+        """Queue an output, which is no part of the run; False if it was dropped, to leave room for what is."""
+        with self._wake:
+            if not self.ok or self._held + _cost(record) > self._queue_limit // 2:
+                return False
+            self._queue.append(record)
+            self._held += _cost(record)
+            self._wake.notify_all()
+            return True
+
+    def wait_room(self, timeout: float) -> bool:
+        """Wait at most ``timeout`` s for the queue to be below its limit and the log to be writable."""
+        with self._wake:
+            return self._wake.wait_for(lambda: self.ok and self._held < self._queue_limit, timeout)
+
+    def wait_synced(self, timeout: float) -> bool:
+        """Wait until all that was queued before this call is on the disk; False after ``timeout`` s."""
+        done = threading.Event()
+        self.put(Sync(done.set))
+        return done.wait(timeout)
+
+    def wants_rotation(self) -> bool:
+        """The file has reached its size or its age."""
+        age = time.monotonic() - self._file.opened
+        return self.ok and (self._length >= self._max_file_bytes or age >= self._max_file_age)
+
+    def close(self, timeout: float = 5.0) -> bool:
+        """Write what is queued, the footer, fsync; False if the disk did not take it within ``timeout`` s."""
+        with self._wake:
+            self._stop = True
+            self._wake.notify_all()
+        self._thread.join(timeout)
+        return not self._thread.is_alive() and self.ok
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        while True:
+            stopping = self._take()
+            try:
+                self._write()
+                if stopping and not self._queue:
+                    self._sync()
+                    self._file.close()
+                    return
+            except OSError as error:
+                if not self._start_over(error):
+                    return
+
+    def _take(self) -> bool:
+        """Take up what is queued, after waiting for something, for the next flush to be due, or for the end."""
+        with self._wake:
+            due = max(self._last_flush + self._flush_interval - time.monotonic(), 0.0) if self._unsynced else None
+            self._wake.wait_for(lambda: self._stop or bool(self._queue), due)
+            self._todo.extend(self._queue)
+            self._queue.clear()
+            return self._stop
+
+    def _write(self) -> None:
+        """Write what is taken up. At any failure ``_unsynced`` and ``_todo`` hold all that is not on the disk."""
+        while self._todo:
+            item = self._todo[0]
+            if isinstance(item, Rotate):
+                self._sync()
+                self._file.close()
+                self._open_next(item.digest)
+                self._todo.popleft()
+                self._release([item])
+                continue
+            self._unsynced.append(self._todo.popleft())
+            if isinstance(item, LogRecord):
+                self._file.write(item)
+                self._mark = self._mark.after(item)
+        now = time.monotonic()
+        wanted = any(isinstance(item, Sync) for item in self._unsynced)
+        if wanted or now - self._last_sync >= SYNC_SECONDS or self._held > self._queue_limit // 2:
+            self._sync()
+        elif now - self._last_flush >= self._flush_interval:
+            self._file.flush()
+            self._last_flush = now
+
+    def _sync(self) -> None:
+        self._length = self._file.sync()
+        self._last_flush = self._last_sync = time.monotonic()
+        self._synced = self._mark
+        done, self._unsynced = self._unsynced, []
+        for item in done:
+            if isinstance(item, Sync):
+                item.done()
+        self._release(done)
+
+    def _release(self, items: list[Item]) -> None:
+        with self._wake:
+            self._held -= sum(_cost(item) for item in items)
+            self._wake.notify_all()
+
+    def _start_over(self, error: OSError) -> bool:
+        """Leave the failed file as it was last synced, and write what came since to a new one; False at the end."""
+        self.ok = False
+        self._fail(error)
+        log.error("the log can't be written (%s); no cloud is decided until it can", self.error)
+        while True:
+            with self._wake:
+                if self._wake.wait_for(lambda: self._stop, RETRY_SECONDS):
+                    log.error("the log was given up: %s", self.error)
+                    return False
+            try:
+                self._file.abandon(self._length)
+                self._mark = self._synced
+                self._todo.extendleft(reversed(self._unsynced))
+                self._unsynced.clear()
+                self._open_next("")
+                self._write()
+                self._sync()
+            except OSError as again:
+                self._fail(again)
+                continue
+            with self._wake:
+                self.ok, self.error = True, ""
+                self._wake.notify_all()
+            log.warning("the log can be written again: %s", self._file.path)
+            return True
+
+    def _fail(self, error: OSError) -> None:
+        self.error = f"{error.filename or self._file.path}: {error.strerror or error}"
+
+    def _open_next(self, digest: str) -> None:
+        """Go on in a new file; ``digest`` "" where the map's at this place is not known."""
+        metadata = self._metadata.model_copy(
+            update={
+                "created_ns": time.time_ns(),
+                "index": self._metadata.index + 1,
+                "epoch": self._mark.epoch,
+                "first_input": self._mark.input + 1,
+                "first_record": self._mark.record + 1,
+                "base_sequence": self._mark.sequence,
+                "base_digest": digest,
+            }
+        )
+        self._file = self._open(metadata)
+        self._metadata = metadata
+        self._length = self._file.size
+
+    def _open(self, metadata: RunMetadata) -> LogFile:
+        path = self._directory / file_name(metadata.run, metadata.index)
+        try:
+            return LogFile(path, metadata, self._compression, self._open_file)
+        except OSError:
+            # A file without its beginning is no file of the run; the next try takes the same name.
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
+            raise
+
+
+def _cost(item: Item) -> int:
+    return RECORD_OVERHEAD + (len(item.payload) if isinstance(item, LogRecord) else 0)

@@ -1,0 +1,292 @@
+"""A robot's recent poses and transforms: which pose holds when, and which message said so."""
+
+import math
+from bisect import bisect_left, bisect_right, insort
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from roughmap import Trajectory
+from roughmap_schemas import Odometry, PoseReason, Transform
+
+Floats = npt.NDArray[np.float64]
+Triple = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Matrix = tuple[Triple, Triple, Triple]
+
+MAX_POSES = 20_000
+"""Poses kept a robot whatever their stamps: 10 s at 2 kHz; a flood of poses must not become a flood of memory."""
+
+MAX_TRANSFORMS = 1_000
+"""Transforms kept a robot: one is needed, the rest serve odometry that arrives late."""
+
+STALE_ROW = 10
+"""So many stale poses in a row with rising stamps mean that the clock was set back (the design's)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A robot's base in the map frame. ``covariance`` (6, 6) in map axes, None where the message told none."""
+
+    stamp_ns: int
+    position: Triple
+    rotation: Quaternion
+    covariance: Floats | None
+    input: int
+    transform: int
+
+
+@dataclass(frozen=True, slots=True)
+class StampedTransform:
+    """Where a child frame lies in the map frame from a stamp on."""
+
+    stamp_ns: int
+    input: int
+    translation: Triple
+    rotation: Quaternion
+
+
+@dataclass
+class PoseBuffer:
+    """Poses of one robot by stamp, over `history_ns`, and the transforms to the map frame.
+
+    It depends on the messages and their order alone, never on a clock, so that a replay has the same poses.
+    """
+
+    frame_id: str
+    history_ns: int
+    jump_m: float
+    jump_rad: float
+    poses: list[Pose] = field(default_factory=list)
+    transforms: dict[str, list[StampedTransform]] = field(default_factory=dict)
+    horizon_ns: int = 0
+    stale_row: int = 0
+    stale_stamp_ns: int = -1
+    jumps: int = 0
+
+    def add(self, odometry: Odometry, number: int) -> tuple[PoseReason | None, bool]:
+        """Take up a pose; returns why not (None: taken) and whether this pose showed that the clock was reset."""
+        pose = self._in_map_frame(odometry, number)
+        if pose is None:
+            return PoseReason.POSE_FRAME, False
+        if odometry.covariance_fault:
+            return PoseReason.BAD_COVARIANCE, False
+        was_reset = False
+        if pose.stamp_ns < self.horizon_ns:
+            rising = pose.stamp_ns > self.stale_stamp_ns
+            self.stale_row = self.stale_row + 1 if rising else 1
+            self.stale_stamp_ns = pose.stamp_ns
+            if self.stale_row < STALE_ROW:
+                return PoseReason.STALE, False
+            self.poses.clear()
+            self.horizon_ns = 0
+            was_reset = True
+        at = bisect_left(self.poses, pose.stamp_ns, key=_stamp)
+        if at < len(self.poses) and self.poses[at].stamp_ns == pose.stamp_ns:
+            return PoseReason.DUPLICATE, False
+        self.stale_row, self.stale_stamp_ns = 0, -1
+        self.poses.insert(at, pose)
+        self._trim()
+        return None, was_reset
+
+    def add_transform(self, transform: Transform, number: int) -> PoseReason | None:
+        """Take up a transform; one whose parent is not the map's frame helps nobody and is refused."""
+        if transform.parent_frame_id != self.frame_id:
+            return PoseReason.POSE_FRAME
+        new = StampedTransform(
+            transform.stamp_ns, number, _floats3(transform.translation), _floats4(transform.rotation)
+        )
+        row = self.transforms.setdefault(transform.child_frame_id, [])
+        before = bisect_right(row, new.stamp_ns, key=_stamp)
+        if before and self._jumped(row[before - 1], new):
+            self.jumps += 1
+        insort(row, new, key=_stamp)
+        if sum(len(r) for r in self.transforms.values()) > MAX_TRANSFORMS:
+            oldest = min(self.transforms, key=lambda child: self.transforms[child][0].stamp_ns)
+            self.transforms[oldest].pop(0)
+            if not self.transforms[oldest]:
+                del self.transforms[oldest]
+        return None
+
+    def covers(self, first_ns: int, last_ns: int) -> bool:
+        """Poses at or before the first time and at or after the last are in."""
+        return bool(self.poses) and self.poses[0].stamp_ns <= first_ns and self.poses[-1].stamp_ns >= last_ns
+
+    def window(self, first_ns: int, last_ns: int) -> list[Pose]:
+        """The poses that bracket and fill [first, last]; the buffer must cover it."""
+        start = bisect_right(self.poses, first_ns, key=_stamp) - 1
+        end = bisect_left(self.poses, last_ns, key=_stamp) + 1
+        return self.poses[start:end]
+
+    def named(self, references: Sequence[tuple[int, int]]) -> list[Pose]:
+        """The poses that an event names by (odometry input, transform input); KeyError for one that is not here."""
+        wanted = set(references)
+        found = {(p.input, p.transform): p for p in self.poses if (p.input, p.transform) in wanted}
+        return [found[reference] for reference in references]
+
+    def _trim(self) -> None:
+        self.horizon_ns = max(self.horizon_ns, self.poses[-1].stamp_ns - self.history_ns)
+        # The last pose at or before the horizon stays: without it a time just after the horizon has no bracket.
+        keep = max(bisect_right(self.poses, self.horizon_ns, key=_stamp) - 1, 0)
+        if len(self.poses) - keep > MAX_POSES:
+            keep = len(self.poses) - MAX_POSES
+            self.horizon_ns = max(self.horizon_ns, self.poses[keep].stamp_ns)
+        del self.poses[:keep]
+
+    def _in_map_frame(self, odometry: Odometry, number: int) -> Pose | None:
+        position, rotation = _floats3(odometry.position), _floats4(odometry.rotation)
+        if odometry.frame_id == self.frame_id:
+            return Pose(odometry.stamp_ns, position, rotation, odometry.covariance, number, 0)
+        row = self.transforms.get(odometry.frame_id, [])
+        before = bisect_right(row, odometry.stamp_ns, key=_stamp)
+        if not before:
+            return None
+        transform = row[before - 1]
+        turn = matrix(transform.rotation)
+        moved = rotate(turn, position)
+        covariance = None if odometry.covariance is None else turn_covariance(turn, odometry.covariance)
+        t = transform.translation
+        return Pose(
+            odometry.stamp_ns,
+            (t[0] + moved[0], t[1] + moved[1], t[2] + moved[2]),
+            multiply(transform.rotation, rotation),
+            covariance,
+            number,
+            transform.input,
+        )
+
+    def _jumped(self, old: StampedTransform, new: StampedTransform) -> bool:
+        step = math.dist(old.translation, new.translation)
+        return step > self.jump_m or angle_between(old.rotation, new.rotation) > self.jump_rad
+
+    def to_state(self) -> dict[str, Any]:
+        """Everything as JSON values, exactly (a float's shortest form reads back to the same bits)."""
+        return {
+            "poses": [
+                [p.stamp_ns, p.position, p.rotation, None if p.covariance is None else p.covariance.tolist(), p.input,
+                 p.transform]
+                for p in self.poses
+            ],
+            "transforms": {
+                child: [[t.stamp_ns, t.input, t.translation, t.rotation] for t in row]
+                for child, row in self.transforms.items()
+            },
+            "horizon_ns": self.horizon_ns,
+            "stale": [self.stale_row, self.stale_stamp_ns],
+            "jumps": self.jumps,
+        }  # fmt: skip
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """The inverse of `to_state`."""
+        self.poses = [
+            Pose(s, _floats3(p), _floats4(r), None if c is None else np.array(c, np.float64), i, t)
+            for s, p, r, c, i, t in state["poses"]
+        ]
+        self.transforms = {
+            child: [StampedTransform(s, i, _floats3(t), _floats4(r)) for s, i, t, r in row]
+            for child, row in state["transforms"].items()
+        }
+        self.horizon_ns = state["horizon_ns"]
+        self.stale_row, self.stale_stamp_ns = state["stale"]
+        self.jumps = state["jumps"]
+
+
+def trajectory(poses: Sequence[Pose], unknown_covariance: Floats) -> Trajectory:
+    """Poses as the core takes them; ``unknown_covariance`` (6, 6) stands in where a message told none."""
+    return Trajectory(
+        np.array([p.stamp_ns for p in poses], np.int64),
+        np.array([p.position for p in poses], np.float64),
+        np.array([p.rotation for p in poses], np.float64),
+        np.array([unknown_covariance if p.covariance is None else p.covariance for p in poses], np.float64),
+    )
+
+
+def too_far_apart(poses: Sequence[Pose], max_gap_ns: float) -> bool:
+    """Two neighbours farther apart in time than ``max_gap_ns`` (which may be infinite)."""
+    return any(b.stamp_ns - a.stamp_ns > max_gap_ns for a, b in pairwise(poses))
+
+
+def too_fast(poses: Sequence[Pose], max_speed: float, max_turn: float) -> bool:
+    """Two neighbours that imply more than ``max_speed`` (m/s) or ``max_turn`` (rad/s)."""
+    for a, b in pairwise(poses):
+        seconds = (b.stamp_ns - a.stamp_ns) * 1e-9
+        if math.dist(a.position, b.position) > max_speed * seconds:
+            return True
+        if angle_between(a.rotation, b.rotation) > max_turn * seconds:
+            return True
+    return False
+
+
+def _stamp(item: Pose | StampedTransform) -> int:
+    return item.stamp_ns
+
+
+def _floats3(values: Sequence[float] | Floats) -> Triple:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def _floats4(values: Sequence[float] | Floats) -> Quaternion:
+    x, y, z, w = (float(v) for v in values)
+    return x, y, z, w
+
+
+# Few poses, each once: plain floats, whose every operation is IEEE's, so that no BLAS decides about the last bit.
+
+
+def matrix(q: Quaternion) -> Matrix:
+    """Rotation matrix of a unit quaternion (x, y, z, w)."""
+    x, y, z, w = q
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def rotate(r: Matrix, v: Triple) -> Triple:
+    """r v."""
+    x, y, z = (row[0] * v[0] + row[1] * v[1] + row[2] * v[2] for row in r)
+    return x, y, z
+
+
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """The rotation that turns by b, then by a, normalised."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    w = aw * bw - ax * bx - ay * by - az * bz
+    n = math.sqrt(x * x + y * y + z * z + w * w)
+    return x / n, y / n, z / n, w / n
+
+
+def angle_between(a: Quaternion, b: Quaternion) -> float:
+    """Angle in radians of the shorter turn from a to b."""
+    near = math.dist(a, b)
+    far = math.dist(a, [-v for v in b])
+    return 4.0 * math.atan2(min(near, far), max(near, far))
+
+
+def turn_covariance(r: Matrix, covariance: Floats) -> Floats:
+    """A (6, 6) covariance whose axes are turned by r: each 3x3 block b becomes r b r^T."""
+    c = covariance.tolist()
+    out = np.empty((6, 6))
+    for i0 in (0, 3):
+        for j0 in (0, 3):
+            for i in range(3):
+                for j in range(3):
+                    total = 0.0
+                    for k in range(3):
+                        row = c[i0 + k]
+                        inner = row[j0] * r[j][0] + row[j0 + 1] * r[j][1] + row[j0 + 2] * r[j][2]
+                        total += r[i][k] * inner
+                    out[i0 + i, j0 + j] = total
+    lower = np.tril_indices(6, -1)
+    out[lower] = out.T[lower]
+    return out

@@ -1,0 +1,137 @@
+"""A run once more: integrates a log again, as its events say, and compares with what was logged."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from roughmap_schemas import CheckpointEvent, Config, Event
+
+from .apply import RunState
+from .fold import Step, fold
+from .log_reader import EventRecord, FileStart, LogError, RunFile, find_files, one_run, read_run
+from .settings import Settings, new_map
+from .store import Store
+
+
+class ReplayError(Exception):
+    """These logs can't be replayed as asked; one line. Exit 2."""
+
+
+@dataclass
+class Replayed:
+    """A replay's end. ``difference`` is None where all that was compared is equal."""
+
+    run: str
+    config: Config
+    state: RunState
+    checkpoints: int = 0
+    events: int = 0
+    difference: str | None = None
+    log: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def verdict(self) -> str:
+        """The last line on stdout."""
+        if self.difference is not None:
+            return f"differs at {self.difference}"
+        rough_map = self.state.map
+        return f"equal: {self.checkpoints} checkpoints, sequence {rough_map.sequence}, digest {rough_map.digest()}"
+
+
+Watch = Callable[[Step], None]
+
+
+def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watch | None = None) -> Replayed:
+    """Integrate the logs again and compare each event and checkpoint; ends at the first difference.
+
+    ``from_store`` is the map.db at whose cut the logs begin, where they don't begin with the run. LogError or
+    ReplayError where the logs are no whole run; RunError where they contradict themselves.
+    """
+    files = one_run(find_files(paths))
+    config = _config(files[0])
+    state = RunState(Settings(config), new_map(config))
+    taken, low_water = _begin(files, state, from_store)
+    result = Replayed(files[0].metadata.run, config, state)
+    for step in fold(state, read_run(files), taken=taken, low_water=low_water):
+        result.difference = _compare(step, state, taken)
+        if result.difference is not None:
+            return result
+        if isinstance(step.item, EventRecord):
+            result.events += 1
+            result.checkpoints += isinstance(step.item.event, CheckpointEvent)
+        if watch is not None:
+            watch(step)
+    if not result.checkpoints:
+        raise ReplayError("the logs hold no checkpoint to compare with")
+    return result
+
+
+def what_if(
+    paths: Sequence[Path], config: Config, *, watch: Callable[[Step, RunState], None] | None = None
+) -> RunState:
+    """Integrate the logs again under ``config``, with the poses that the events name; nothing is compared."""
+    files = one_run(find_files(paths))
+    state = RunState(Settings(config), new_map(config), epoch=1)
+    _begin(files, state, None)
+    for step in fold(state, (item for item in read_run(files) if not isinstance(item, FileStart))):
+        if watch is not None:
+            watch(step, state)
+    return state
+
+
+def _config(file: RunFile) -> Config:
+    try:
+        return Config.model_validate(file.metadata.configuration)
+    except ValueError as error:
+        raise LogError(f"{file.path}: its configuration can't be read: {str(error).splitlines()[0]}") from None
+
+
+def _begin(files: Sequence[RunFile], state: RunState, from_store: Path | None) -> tuple[int, int]:
+    """Bring the state to where the logs begin; returns the record and the low-water input from which they count."""
+    first = files[0].metadata
+    if from_store is None:
+        if first.base_sequence or first.first_record > 1:
+            raise ReplayError(
+                f"{files[0].path.name} begins at sequence {first.base_sequence}, not 0: give the map.db that it "
+                "goes on from (--from map.db), or the files before it"
+            )
+        return 0, 1
+    store = Store(from_store)
+    cut = store.read_cut()
+    if cut is None:
+        raise ReplayError(f"{from_store}: no map is stored there")
+    if cut.run != first.run:
+        raise ReplayError(f"{from_store} is of run {cut.run[:8]}, the logs are of run {first.run[:8]}")
+    if cut.record + 1 < first.first_record:
+        raise ReplayError(f"gap: {from_store} ends at record {cut.record}, the logs begin at {first.first_record}")
+    store.load_into(state.map, cut)
+    state.epoch, state.input, state.record = cut.epoch, cut.input, cut.record
+    for robot, buffer in cut.poses.items():
+        state.buffer(robot).load_state(buffer)
+    return cut.record, cut.low_water
+
+
+def _compare(step: Step, state: RunState, taken: int) -> str | None:
+    """What differs between a step and the log, None if nothing does."""
+    item = step.item
+    if isinstance(item, FileStart):
+        base = item.metadata
+        if base.first_record <= taken or not base.base_digest:
+            return None
+        found = state.map.sequence, state.map.digest()
+        if found != (base.base_sequence, base.base_digest):
+            logged = f"{base.base_sequence}, {base.base_digest}"
+            return f"sequence {found[0]}: {item.path.name} begins with {logged}; found {found[1]}"
+    if isinstance(item, EventRecord) and step.outcome != item.event:
+        return _difference(item.event, step.outcome)
+    return None
+
+
+def _difference(logged: Event, found: Event | None) -> str:
+    parts = [
+        f"{name} {there!r} in the log, {here!r} now"
+        for name, there in logged
+        if (here := getattr(found, name, None)) != there
+    ]
+    return f"sequence {logged.sequence} ({logged.kind}): {'; '.join(parts)}"

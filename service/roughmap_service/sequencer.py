@@ -1,0 +1,339 @@
+"""The one thread that numbers inputs, decides clouds and changes the map."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from roughmap import RoughMap
+from roughmap_schemas import (
+    CheckpointEvent,
+    Cloud,
+    Event,
+    IntegrationEvent,
+    Keys,
+    MessageFault,
+    Odometry,
+    PoseReason,
+    Receipt,
+    Refusal,
+    ResetEvent,
+    Transform,
+    encode_event,
+)
+
+from .apply import RunState, span
+from .counters import Counters
+from .fold import Content, decode
+from .inbox import Decision, Inbox, WaitingCloud
+from .ingest import Duplicates
+from .intake import InputMessage, Intake
+from .log_file import Kind, LogRecord
+from .log_writer import LogWriter, Rotate, Sync
+from .settings import NS
+from .view import View
+
+log = logging.getLogger(__name__)
+
+IDLE_SECONDS = 0.5
+"""The longest the sequencer sleeps: deadlines come earlier by themselves, this bounds what else may be due."""
+
+MAX_ROBOTS = 256
+"""Robots that one map hears, if the configuration names none: their names come from outside and cost a buffer each."""
+
+
+class ShuttingDown(Exception):
+    """The service ends before what was asked for is done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Intervals:
+    """Seconds between checkpoints and between snapshots."""
+
+    checkpoint: float
+    snapshot: float
+
+
+class Sequencer:
+    """Takes inputs from the intake to the map.
+
+    Each turn: log and take up all that came in, then decide and place one cloud, so that under load clouds pile up
+    where they are counted (the inbox) and poses never wait behind them. An event is queued to the log after all that
+    it names and before anyone can see the map that it makes.
+    """
+
+    def __init__(
+        self,
+        state: RunState,
+        view: View,
+        writer: LogWriter,
+        intake: Intake,
+        counters: Counters,
+        duplicates: Duplicates,
+        keys: Keys,
+        intervals: Intervals,
+        publish_event: Callable[[bytes], None],
+        take_snapshot: Callable[[], None],
+        before_reset: Callable[[RoughMap], None],
+    ) -> None:
+        self.state = state
+        self.inbox = Inbox(state.settings, state.poses)
+        self.duplicates = duplicates
+        self.view = view
+        self._writer = writer
+        self._intake = intake
+        self._counters = counters
+        self._keys = keys
+        self._intervals = intervals
+        self._publish_event = publish_event
+        self._take_snapshot = take_snapshot
+        self._before_reset = before_reset
+        self._arrived: dict[int, float] = {}
+        self._checkpoint_sequence = state.map.sequence
+        self.newest_stamp_ns = state.map.newest_updated * NS
+        self._next_checkpoint = time.monotonic() + intervals.checkpoint
+        self._next_snapshot = time.monotonic() + intervals.snapshot
+        self._stopping = threading.Event()
+        self.failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="sequencer", daemon=True)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread is at work."""
+        return self._thread.is_alive()
+
+    def start(self, undecided: list[tuple[int, str, int]]) -> None:
+        """Begin; clouds logged before a restart and not decided (input, robot, bytes) wait anew."""
+        now = time.monotonic()
+        for number, robot, size in undecided:
+            first, last = span(self.state.clouds[number])
+            self.inbox.feed(
+                WaitingCloud(number, robot, self.state.clouds[number], first, last, now, size, ingested=True)
+            )
+        self._thread.start()
+
+    def stop(self, timeout: float) -> bool:
+        """Take up what was queued, place what can be placed, final checkpoint; False if that takes too long."""
+        self._intake.close()
+        self._stopping.set()
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def call(self, action: Callable[[], None], timeout: float) -> None:
+        """Have ``action`` done between two inputs, and wait for it; its exception is raised here."""
+        done = threading.Event()
+        raised: list[Exception] = []
+
+        def run() -> None:
+            try:
+                action()
+            except Exception as error:  # noqa: BLE001 - it is the caller's, and raised there
+                raised.append(error)
+            done.set()
+
+        self._intake.command(run)
+        if not done.wait(timeout):
+            raise ShuttingDown("the sequencer did not come to it in time")
+        if raised:
+            raise raised[0]
+
+    def reset(self) -> None:
+        """Empty the map: a new epoch, durable before anyone sees it. Call it through `call`."""
+        event = ResetEvent(epoch=self.state.epoch + 1, sequence=self.state.map.sequence + 1)
+        if not self._writer.wait_room(IDLE_SECONDS):
+            raise MessageFault(Refusal.LOG_UNAVAILABLE, "the log can't be written")
+        self._log_event(event)
+        synced = threading.Event()
+        self._writer.put(Sync(synced.set))
+        while not synced.wait(IDLE_SECONDS):
+            if self._stopping.is_set():
+                raise ShuttingDown("the service ends; the reset holds after the restart")
+        with self.view.change() as rough_map:
+            self._before_reset(rough_map)
+            self.state.apply(event)
+            self.view.epoch = self.state.epoch
+        self._publish_event(encode_event(event))
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                self._turn(self._wait_seconds())
+            while self._turn(0.0):
+                pass
+            self.checkpoint()
+        except BaseException as error:
+            self.failure = error
+            log.critical("the sequencer failed: %s: %s", type(error).__name__, error, exc_info=error)
+
+    def _turn(self, timeout: float) -> bool:
+        """One turn; True if it found something to do."""
+        messages, commands = self._intake.take(timeout)
+        for message in messages:
+            self._accept(message)
+        for command in commands:
+            command()
+        decided = self._decide()
+        now = time.monotonic()
+        if now >= self._next_checkpoint:
+            self.checkpoint()
+            self._next_checkpoint = now + self._intervals.checkpoint
+        if self._writer.wants_rotation():
+            self.checkpoint()
+            self._writer.put(Rotate(self.state.map.digest()))
+        if now >= self._next_snapshot:
+            self._take_snapshot()
+            self._next_snapshot = now + self._intervals.snapshot
+        return bool(messages) or bool(commands) or decided
+
+    def _wait_seconds(self) -> float:
+        now = time.monotonic()
+        due = [self._next_checkpoint, self._next_snapshot, now + IDLE_SECONDS]
+        deadline = self.inbox.deadline()
+        if deadline is not None and self._writer.ok:
+            due.append(deadline)
+        return max(min(due) - now, 0.0)
+
+    def _accept(self, message: InputMessage) -> None:
+        """Check, number, log and take up one input; whatever is refused is counted, and answered if it asked."""
+        while not self._writer.wait_room(IDLE_SECONDS) and self._writer.ok and not self._stopping.is_set():
+            pass  # the disk is slow: the intake, behind us, drops and counts meanwhile
+        identity = Duplicates.identity(message.robot, message.kind, message.payload)
+        try:
+            first = self.duplicates.find(identity)
+            if first is not None:
+                self._acknowledge(message, first, duplicate=True)
+                return
+            content = self._check(message)
+        except MessageFault as fault:
+            self._counters.refuse(fault.code)
+            if message.reply is not None:
+                message.reply.refuse(fault)
+            return
+        number = self.state.input = self.state.input + 1
+        self.state.record += 1
+        topic = self._keys.form(message.kind).make(robot=message.robot)
+        self._writer.put(LogRecord(message.kind, topic, message.payload, message.received_ns, content.stamp_ns, number))
+        self.duplicates.add(identity, number)
+        self._take_up(number, message, content)
+        self._acknowledge(message, number, duplicate=False)
+
+    def _check(self, message: InputMessage) -> Content:
+        """Decode, and hold against the configuration what the bytes alone don't tell."""
+        if not self._writer.ok:
+            raise MessageFault(Refusal.LOG_UNAVAILABLE, f"the log can't be written: {self._writer.error}")
+        robots = self.state.settings.config.input.robots
+        if robots and message.robot not in robots:
+            raise MessageFault(Refusal.UNKNOWN_ROBOT, f"robot {message.robot!r} is not among input.robots")
+        if not robots and message.robot not in self.state.poses and len(self.state.poses) >= MAX_ROBOTS:
+            raise MessageFault(
+                Refusal.UNKNOWN_ROBOT, f"{MAX_ROBOTS} robots are known already; name them in input.robots"
+            )
+        content = decode(message.kind, message.payload, self.state.settings)
+        if isinstance(content, Cloud):
+            self._check_cloud(message, content)
+        return content
+
+    def _check_cloud(self, message: InputMessage, cloud: Cloud) -> None:
+        settings = self.state.settings
+        if cloud.frame_id != settings.frame_id and settings.sensor(message.robot, cloud.frame_id) is None:
+            raise MessageFault(
+                Refusal.UNKNOWN_SENSOR,
+                f"frame {cloud.frame_id!r} is neither the map's ({settings.frame_id!r}) nor a configured sensor "
+                f"([sensors.{cloud.frame_id}])",
+            )
+        if message.reply is not None and not self.inbox.has_room(len(message.payload)):
+            raise MessageFault(Refusal.BUSY, "clouds wait for their poses up to input.queue_limit; try again")
+
+    def _take_up(self, number: int, message: InputMessage, content: Content) -> None:
+        if isinstance(content, Cloud):
+            self.state.take_cloud(number, content)
+            first, last = span(content)
+            self._arrived[number] = message.arrival
+            self.inbox.feed(
+                WaitingCloud(
+                    number, message.robot, content, first, last, message.arrival, len(message.payload),
+                    ingested=message.reply is not None,
+                )
+            )  # fmt: skip
+        elif isinstance(content, Odometry):
+            reason, was_reset = self.state.take_odometry(number, message.robot, content)
+            self._counters.pose(reason)
+            if was_reset:
+                log.warning("robot %s: its clock was reset; its poses begin anew", message.robot)
+                self.inbox.clock_reset(message.robot)
+        elif isinstance(content, Transform):
+            self._take_transform(number, message.robot, content)
+
+    def _take_transform(self, number: int, robot: str, transform: Transform) -> None:
+        before = self.state.poses[robot].jumps if robot in self.state.poses else 0
+        if self.state.take_transform(number, robot, transform) is not None:
+            self._counters.pose(PoseReason.POSE_FRAME)
+        elif self.state.poses[robot].jumps > before:
+            self._counters.jump(robot)
+
+    def _acknowledge(self, message: InputMessage, number: int, *, duplicate: bool) -> None:
+        if message.reply is None:
+            if duplicate:
+                self._counters.refuse(Refusal.DUPLICATE)
+            return
+        receipt = Receipt(input=number, epoch=self.state.epoch, durable=True, duplicate=duplicate)
+        reply = message.reply
+        self._writer.put(Sync(lambda: reply.receipt(receipt)))
+
+    def _decide(self) -> bool:
+        """Decide at most one cloud; none while the log can't be written."""
+        if not self._writer.wait_room(0.0):
+            return False
+        decision = self.inbox.tick(time.monotonic())
+        if decision is None:
+            return False
+        proposal = _proposal(decision, self.state)
+        with self.view.change():
+            done = self.state.apply(proposal)
+            self._log_event(done)
+        assert isinstance(done, IntegrationEvent)  # noqa: S101 - what an integration becomes
+        arrival = self._arrived.pop(done.input, None)
+        if done.accepted:
+            self.newest_stamp_ns = max(self.newest_stamp_ns, decision.cloud.last_ns)
+        self._counters.cloud(str(done.outcome), done.accepted, {str(k): n for k, n in done.rejected.items()}, arrival)
+        self._publish_event(encode_event(done))
+        return True
+
+    def checkpoint(self) -> None:
+        """Log the map's digest, if the map changed since the last one."""
+        if self.state.map.sequence == self._checkpoint_sequence or not self._writer.ok:
+            return
+        event = self.state.apply(CheckpointEvent(epoch=0, sequence=0, digest="0" * 32))
+        self._checkpoint_sequence = self.state.map.sequence
+        self._log_event(event)
+        self._publish_event(encode_event(event))
+
+    def _log_event(self, event: Event) -> None:
+        self.state.record += 1
+        now = time.time_ns()
+        self._writer.put(
+            LogRecord(
+                Kind.EVENTS,
+                self._keys.events,
+                encode_event(event),
+                now,
+                now,
+                epoch=event.epoch,
+                sequence=event.sequence,
+            )
+        )
+
+
+def _proposal(decision: Decision, state: RunState) -> IntegrationEvent:
+    cloud = decision.cloud
+    return IntegrationEvent(
+        epoch=state.epoch,
+        input=cloud.input,
+        robot=cloud.robot,
+        poses=[(pose.input, pose.transform) for pose in decision.poses],
+        outcome=decision.outcome,
+        accepted=0,
+        rejected={},
+        sequence=state.map.sequence,
+    )

@@ -1,0 +1,283 @@
+"""The service: everything wired together, from the recovered map to the last fsync."""
+
+import fcntl
+import logging
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from roughmap_schemas import (
+    Config,
+    Keys,
+    QueryCode,
+    QueryFault,
+    QueryRecord,
+    RunMetadata,
+    configuration_digest,
+    model_bytes,
+)
+from roughmap_schemas.config_load import LoadedConfig
+from roughmap_schemas.encodings import json_encoding
+from roughmap_schemas.messages import LogState
+
+from .answers import Answers
+from .counters import Counters
+from .emptied import Emptied
+from .ingest import Replies
+from .intake import Intake, ZenohInputs
+from .log_file import Kind, LogRecord
+from .log_writer import LogWriter
+from .recovery import Progress as RecoveryProgress
+from .recovery import Recovered, blank, recover
+from .sequencer import Intervals, Sequencer
+from .snapshots import Snapshots, cut_of
+from .status import Progress, Status, StatusPublisher
+from .store import Store
+from .tile_reply import Identity
+from .transport import endpoints, open_session, wait_alone
+from .updates import Updates
+from .view import View
+from .warmup import warm_up
+
+log = logging.getLogger(__name__)
+
+VERSION = version("roughmap")
+
+CONTROL_SECONDS = 30.0
+"""How long an operator's snapshot or reset may take."""
+
+
+class ServeError(Exception):
+    """The service can't start or go on; one line that names the cause and the mend."""
+
+
+def serve(
+    loaded: LoadedConfig,
+    stop: threading.Event,
+    announce: Callable[[dict[str, Any]], None],
+    *,
+    fresh: bool = False,
+    progress: RecoveryProgress | None = None,
+) -> None:
+    """Keep one map until ``stop`` is set; ``announce`` is called once, when it is ready.
+
+    Raises what stands in the way of a start (ServeError, TransportError, LogError, StoreError, IdentityError, ...),
+    each in one line.
+    """
+    config = loaded.config
+    keys = Keys(config.map.name, config.keys)
+    directory, store = Path(config.log.directory), Store(Path(config.store.path)) if config.store.path else None
+    with ExitStack() as stack:
+        stack.enter_context(_locked(directory, store))
+        session = stack.enter_context(open_session(loaded))
+        if others := wait_alone(session, keys, config.service.alive_wait):
+            raise ServeError(f"map {config.map.name!r} is served already, by {', '.join(others)}; stop that one first")
+        recovered = _recovered(config, directory, store, fresh, progress)
+        warm_up(config)
+        _run(loaded, keys, session, directory, store, recovered, stop, announce)
+
+
+def _run(
+    loaded: LoadedConfig,
+    keys: Keys,
+    session: zenoh.Session,
+    directory: Path,
+    store: Store | None,
+    recovered: Recovered,
+    stop: threading.Event,
+    announce: Callable[[dict[str, Any]], None],
+) -> None:
+    """Start the parts in the order in which they need each other, and end them the other way round."""
+    config = loaded.config
+    state, run = recovered.state, recovered.run or uuid.uuid4().hex
+    state.epoch = recovered.epoch
+    instance = uuid.uuid4().hex
+    identity = Identity(config.map.name, run, instance, configuration_digest(config), config.map.frame_id)
+    counters, view, emptied = Counters(), View(state.map, recovered.epoch), Emptied()
+    with ExitStack() as stack:
+        token = session.liveliness().declare_token(keys.alive(instance))
+        stack.callback(token.undeclare)  # last of all: whoever waits for it may then open the log
+        replies = stack.enter_context(Replies())
+        writer = stack.enter_context(_writer(config, directory, _metadata(config, run, recovered)))
+        snapshots = stack.enter_context(Snapshots(store, view, writer, None if recovered.was_reset else recovered.cut))
+        intake = Intake(config.input.queue_limit, counters)
+        events = session.declare_publisher(
+            keys.events, encoding=json_encoding("Event"), congestion_control=zenoh.CongestionControl.DROP
+        )
+        # DROP: events are in the log, and a reader that stalls must not hold up the sequencer.
+
+        def cut() -> None:
+            snapshots.offer(cut_of(run, config, state, sequencer.inbox, recovered.duplicates))
+
+        sequencer = Sequencer(
+            state, view, writer, intake, counters, recovered.duplicates, keys,
+            Intervals(config.log.checkpoint_interval, config.store.snapshot_interval),
+            publish_event=events.put, take_snapshot=cut, before_reset=emptied.note,
+        )  # fmt: skip
+        control = _Control(sequencer, snapshots, cut)
+
+        def progress() -> Progress:
+            return Progress(
+                durable_sequence=writer.durable_sequence,
+                input=state.input,
+                newest_stamp_ns=sequencer.newest_stamp_ns,
+                waiting=sequencer.inbox.waiting,
+                overloaded=counters.overloaded,
+                log=LogState(file=str(writer.path), bytes=writer.size, ok=writer.ok),
+            )
+
+        status = Status(view, counters, config, identity, VERSION, progress)
+        record = _Outputs(writer, keys, counters, queries=config.log.queries)
+        sequencer.start(recovered.undecided)
+        stack.callback(_end, sequencer, view, snapshots, cut, config.service.shutdown_timeout)
+        stack.enter_context(
+            Answers(
+                session, view, keys, config, identity, status=status,
+                control={"snapshot": control.snapshot, "reset": control.reset}, record_query=record.query,
+                emptied=emptied,
+            )
+        )  # fmt: skip
+        stack.enter_context(Updates(session, view, keys, config, identity, record.update))
+        stack.enter_context(StatusPublisher(session, keys, status))
+        stack.callback(intake.close)  # after the subscribers are gone; refuses what still comes
+        stack.enter_context(ZenohInputs(session, keys, intake, replies, config.input.max_message, counters))
+        announce(
+            {
+                "ready": True, "map": config.map.name, "instance": instance, "endpoints": endpoints(session),
+                "http": None,
+            }
+        )  # fmt: skip
+        while not stop.wait(0.5):
+            if not sequencer.alive:
+                raise ServeError(f"the sequencer failed: {sequencer.failure}")
+        intake.close()
+
+
+def _end(sequencer: Sequencer, view: View, snapshots: Snapshots, cut: Callable[[], None], timeout: float) -> None:
+    """Place what can be placed, checkpoint, snapshot; the log's footer comes after this."""
+    if not sequencer.stop(timeout / 2):
+        log.error("the sequencer did not end within %s s", timeout / 2)
+        return
+    view.wake()
+    if snapshots.enabled and sequencer.failure is None:
+        snapshots.close(timeout / 4)
+        cut()
+        snapshots.close(timeout / 4)
+
+
+def _recovered(
+    config: Config, directory: Path, store: Store | None, fresh: bool, progress: RecoveryProgress | None
+) -> Recovered:
+    if not fresh:
+        return recover(config, directory, store, progress)
+    if store is not None and store.exists():
+        old = store.read_cut()
+        log.warning("a new run; the old store is %s", store.set_aside(old.run if old else "empty"))
+    return blank(config)
+
+
+def _metadata(config: Config, run: str, recovered: Recovered) -> RunMetadata:
+    state = recovered.state
+    return RunMetadata(
+        run=run,
+        created_ns=time.time_ns(),
+        epoch=recovered.epoch,
+        index=recovered.index,
+        first_input=state.input + 1,
+        first_record=state.record + 1,
+        base_sequence=state.map.sequence,
+        base_digest=state.map.digest(),
+        version=VERSION,
+        configuration=config.public_dict(),
+    )
+
+
+def _writer(config: Config, directory: Path, metadata: RunMetadata) -> LogWriter:
+    return LogWriter(
+        directory,
+        metadata,
+        compression=config.log.compression,
+        flush_interval=config.log.flush_interval,
+        queue_limit=config.log.queue_limit,
+        max_file_bytes=config.log.max_file_bytes,
+        max_file_age=config.log.max_file_age,
+    )
+
+
+@contextmanager
+def _locked(directory: Path, store: Store | None) -> Iterator[None]:
+    """Hold the log directory and the store against a second service."""
+    directory.mkdir(parents=True, exist_ok=True)
+    locks = [directory / ".lock"]
+    if store is not None:
+        store.path.parent.mkdir(parents=True, exist_ok=True)
+        locks.append(store.path.with_name(store.path.name + ".lock"))
+    with ExitStack() as stack:
+        for path in locks:
+            handle = stack.enter_context(path.open("a"))
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise ServeError(
+                    f"{path}: held by another service; give this one its own log.directory and store.path"
+                ) from None
+        yield
+
+
+class _Control:
+    """What an operator may ask for."""
+
+    def __init__(self, sequencer: Sequencer, snapshots: Snapshots, cut: Callable[[], None]) -> None:
+        self._sequencer = sequencer
+        self._snapshots = snapshots
+        self._cut = cut
+
+    def snapshot(self) -> tuple[int, int]:
+        """Store the map as it is now; (sequence, epoch) of what is stored."""
+        if not self._snapshots.enabled:
+            raise QueryFault(QueryCode.BAD_KEY, "this service has no store (store.path)")
+        wanted = self._sequencer.state.map.sequence
+        until = time.monotonic() + CONTROL_SECONDS
+        while self._snapshots.sequence < wanted and time.monotonic() < until:
+            self._sequencer.call(self._cut, CONTROL_SECONDS)
+            self._snapshots.close(CONTROL_SECONDS)
+            if self._snapshots.error:
+                break
+        if self._snapshots.sequence < wanted:
+            raise QueryFault(QueryCode.INTERNAL, f"no snapshot: {self._snapshots.error or 'it took too long'}")
+        return self._snapshots.sequence, self._sequencer.view.epoch
+
+    def reset(self) -> tuple[int, int]:
+        """Empty the map; the (sequence, epoch) that begin with it."""
+        self._sequencer.call(self._sequencer.reset, CONTROL_SECONDS)
+        return self._sequencer.state.map.sequence, self._sequencer.view.epoch
+
+
+class _Outputs:
+    """What the log keeps of answers and updates: no part of the run, dropped and counted where there is no room."""
+
+    def __init__(self, writer: LogWriter, keys: Keys, counters: Counters, *, queries: bool) -> None:
+        self._writer = writer
+        self._keys = keys
+        self._counters = counters
+        self._queries = queries
+
+    def query(self, record: QueryRecord) -> None:
+        """One answered query."""
+        if self._queries:
+            self._put(Kind.QUERIES, self._keys.queries, model_bytes(record), time.time_ns())
+
+    def update(self, kind: str, payload: bytes, stamp_ns: int) -> None:
+        """One published tile."""
+        self._put(Kind.GRIDS if kind == "grids" else Kind.UPDATES, self._keys.updates_topic, payload, stamp_ns)
+
+    def _put(self, kind: Kind, topic: str, payload: bytes, stamp_ns: int) -> None:
+        if not self._writer.put_output(LogRecord(kind, topic, payload, time.time_ns(), stamp_ns)):
+            self._counters.output_dropped()

@@ -1,0 +1,93 @@
+"""The configuration, unpacked once into the plain values that decide what becomes of the inputs."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from roughmap import Limits, Noise, RoughMap
+from roughmap_schemas import Config, SensorConfig
+
+NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A sensor as the core takes it: where it sits in the robot, its noise, and which of its points are kept."""
+
+    translation: tuple[float, float, float]
+    rotation: tuple[float, float, float, float]
+    noise: Noise
+    limits: Limits
+
+
+class Settings:
+    """What of the configuration bears on poses, decisions and integration."""
+
+    def __init__(self, config: Config) -> None:
+        inputs = config.input
+        self.config = config
+        self.frame_id = config.map.frame_id
+        self.max_wait = inputs.max_wait
+        self.max_pose_gap = inputs.max_pose_gap
+        self.max_pose_gap_ns = inputs.max_pose_gap * NS
+        self.history_ns = round(inputs.pose_history * NS)
+        self.max_speed = inputs.max_speed
+        self.max_turn = inputs.max_turn
+        self.queue_limit = inputs.queue_limit
+        self.max_new_tiles = config.map.max_new_tiles
+        self.max_tiles = config.map.max_tiles
+        self.pose_covariance: npt.NDArray[np.float64] = np.diag(np.array(inputs.pose_sigma, np.float64) ** 2)
+        self.placed_covariance: npt.NDArray[np.float64] = np.eye(3) * (inputs.placed_sigma * inputs.placed_sigma)
+        # A transform that moves by more than three sigmas of a pose is a correction, not drift.
+        self.jump_m = 3.0 * max(inputs.pose_sigma[:3])
+        self.jump_rad = 3.0 * max(inputs.pose_sigma[3:])
+        self._sensors: dict[tuple[str, str], Sensor | None] = {}
+
+    def sensor(self, robot: str, frame_id: str) -> Sensor | None:
+        """The sensor of that frame on that robot; None if none is configured."""
+        key = (robot, frame_id)
+        if key not in self._sensors:
+            found = self.config.sensor(robot, frame_id)
+            if found is None:
+                return None  # not kept: frames that nobody configured come from outside and have no bound
+            self._sensors[key] = _sensor(found, self.max_pose_gap)
+        return self._sensors[key]
+
+
+def _sensor(config: SensorConfig, max_pose_gap: float) -> Sensor:
+    return Sensor(
+        translation=config.translation,
+        rotation=config.rotation,
+        noise=Noise(
+            range_sigma=config.range_sigma,
+            range_sigma_per_m=config.range_sigma_per_m,
+            beam_sigma=config.beam_sigma,
+            mount_sigma=config.mount_sigma if any(config.mount_sigma) else None,
+        ),
+        limits=Limits(
+            min_range=config.min_range,
+            max_range=config.max_range,
+            ceiling=config.ceiling,
+            ceiling_slope=config.ceiling_slope,
+            max_pose_gap=max_pose_gap,
+            exclude=tuple(config.exclude),
+        ),
+    )
+
+
+def new_map(config: Config) -> RoughMap:
+    """An empty map with the configuration's identity."""
+    m = config.map
+    return RoughMap(
+        cell_size=m.cell_size,
+        error_model=m.error_model,
+        coverage=m.coverage,
+        min_radius=m.min_radius,
+        min_distance=m.min_distance,
+        min_share=m.min_share,
+        max_horizontal_radius=m.max_horizontal_radius,
+        bounds=m.bounds,
+        levels=m.levels,
+        threads=config.service.threads or None,
+    )

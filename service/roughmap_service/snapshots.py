@@ -1,0 +1,103 @@
+"""Snapshots: cuts of the run go to the store from a thread of their own, never ahead of the log."""
+
+import logging
+import sqlite3
+import threading
+from types import TracebackType
+from typing import Self
+
+from roughmap.frozen import Frozen
+from roughmap_schemas import Config, configuration_digest
+
+from .apply import RunState
+from .inbox import Inbox
+from .ingest import Duplicates
+from .log_writer import LogWriter
+from .store import Cut, Store
+from .view import View
+
+log = logging.getLogger(__name__)
+
+SYNC_SECONDS = 10.0
+"""How long a snapshot waits for the log to be on the disk through its cut; then the next one tries again."""
+
+
+def cut_of(run: str, config: Config, state: RunState, inbox: Inbox, duplicates: Duplicates) -> Cut:
+    """Where the run stands; call it where nobody changes the state meanwhile."""
+    oldest = inbox.oldest_input()
+    return Cut(
+        run=run,
+        epoch=state.epoch,
+        sequence=state.map.sequence,
+        input=state.input,
+        record=state.record,
+        low_water=oldest if oldest is not None else state.input + 1,
+        configuration=config.public_dict(),
+        configuration_digest=configuration_digest(config),
+        poses={robot: buffer.to_state() for robot, buffer in state.poses.items()},
+        duplicates=duplicates.to_state(),
+    )
+
+
+class Snapshots:
+    """Writes one cut at a time; one that is offered while another is being written is left out."""
+
+    def __init__(self, store: Store | None, view: View, writer: LogWriter, stored: Cut | None) -> None:
+        self._store = store
+        self._view = view
+        self._writer = writer
+        self._epoch_of_tiles = view.epoch if stored is not None else None
+        self._busy = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self.sequence = stored.sequence if stored is not None else 0
+        self.error = ""
+
+    @property
+    def enabled(self) -> bool:
+        """Whether there is a store."""
+        return self._store is not None
+
+    def offer(self, cut: Cut) -> threading.Thread | None:
+        """Begin to store a cut that is the map's present state; call it where nobody changes the map meanwhile.
+
+        Returns the thread that writes it, None if there is no store or it is still being written.
+        """
+        if self._store is None or not self._busy.acquire(blocking=False):
+            return None
+        with self._view.reading() as rough_map:
+            frozen = rough_map.freeze()
+        thread = threading.Thread(target=self._write, args=(cut, frozen), name="snapshot", daemon=True)
+        self._thread = thread
+        thread.start()
+        return thread
+
+    def close(self, timeout: float) -> None:
+        """Wait for the snapshot that is being written."""
+        if self._thread is not None:
+            self._thread.join(timeout)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close(SYNC_SECONDS)
+
+    def _write(self, cut: Cut, frozen: Frozen) -> None:
+        assert self._store is not None  # noqa: S101 - offer() saw to it
+        try:
+            if not self._writer.wait_synced(SYNC_SECONDS):
+                self.error = "the log could not be made durable through the snapshot"
+                return
+            # Tiles stored under another epoch of this process may have been emptied by a reset since.
+            after = self.sequence if self._epoch_of_tiles == cut.epoch else None
+            self._store.write(cut, frozen, after)
+            self._epoch_of_tiles, self.sequence, self.error = cut.epoch, cut.sequence, ""
+        except (sqlite3.Error, OSError) as error:
+            self.error = f"{self._store.path}: {error}"
+            log.error("no snapshot: %s", self.error)
+        finally:
+            with self._view.reading():
+                frozen.close()
+            self._busy.release()

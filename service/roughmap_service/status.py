@@ -1,0 +1,171 @@
+"""The status: how the service and its map are."""
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import zenoh
+
+from roughmap_schemas.config import Config
+from roughmap_schemas.encodings import json_encoding
+from roughmap_schemas.keys import Keys
+from roughmap_schemas.layers import LAYERS
+from roughmap_schemas.messages import (
+    CloudCounts,
+    Lag,
+    LogState,
+    MapStatus,
+    PointCounts,
+    PoseCounts,
+    Rates,
+    TileCounts,
+    model_bytes,
+)
+from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
+from roughmap_service.counters import Counters
+from roughmap_service.tile_reply import Identity
+from roughmap_service.view import View
+
+PERIOD_S = 1.0
+"""The contract's 1 Hz."""
+
+STATM = Path("/proc/self/statm")
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What only the sequencer and the log know, as of one moment."""
+
+    durable_sequence: int = 0
+    input: int = 0
+    newest_stamp_ns: int = 0
+    waiting: int = 0
+    overloaded: bool = False
+    log: LogState = field(default_factory=LogState)
+    spilled: int = 0
+
+
+def memory_bytes() -> int:
+    """The process's resident memory; 0 where the system doesn't tell."""
+    try:
+        pages = STATM.read_text(encoding="ascii").split()[1]
+    except (OSError, IndexError):
+        return 0
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
+
+class Status:
+    """Makes `MapStatus` from the map, the counters and ``progress``."""
+
+    def __init__(
+        self,
+        view: View,
+        counters: Counters,
+        config: Config,
+        identity: Identity,
+        version: str,
+        progress: Callable[[], Progress],
+    ) -> None:
+        self._view = view
+        self._counters = counters
+        self._map = config.map
+        self._identity = identity
+        self._version = version
+        self._progress = progress
+        self._started = time.monotonic()
+
+    def __call__(self) -> MapStatus:
+        """The status now; waits for the rest of one scan's integration at most."""
+        with self._view.reading() as rough_map:
+            epoch, sequence = self._view.epoch, rough_map.sequence
+            extent, resident = rough_map.extent(), rough_map.tile_count
+        counts, progress = self._counters.snapshot(), self._progress()
+        lag, (clouds, points) = self._counters.lag(), self._counters.rates()
+        health = "ok" if progress.log.ok else "degraded"
+        if progress.overloaded and health == "ok":
+            health = "overloaded"
+        return MapStatus(
+            map=self._identity.map,
+            run=self._identity.run,
+            instance=self._identity.instance,
+            epoch=epoch,
+            version=self._version,
+            frame_id=self._map.frame_id,
+            cell_size=self._map.cell_size,
+            levels=self._map.levels,
+            layers=list(LAYERS),
+            bounds=self._map.bounds,
+            extent=extent,
+            error_model=self._map.error_model,
+            configuration_digest=self._identity.configuration_digest,
+            health=health,
+            sequence=sequence,
+            durable_sequence=progress.durable_sequence,
+            input=progress.input,
+            newest_stamp_ns=progress.newest_stamp_ns,
+            clouds=CloudCounts(
+                accepted=counts.clouds_accepted,
+                waiting=progress.waiting,
+                rejected={CloudReason(reason): n for reason, n in counts.clouds_rejected.items()},
+            ),
+            points=PointCounts(
+                accepted=counts.points_accepted,
+                rejected={PointReason(reason): n for reason, n in counts.points_rejected.items()},
+            ),
+            poses=PoseCounts(
+                accepted=counts.poses_accepted,
+                rejected={PoseReason(reason): n for reason, n in counts.poses_rejected.items()},
+            ),
+            refused={Refusal(reason): n for reason, n in counts.refused.items()},
+            gaps=dict(counts.gaps),
+            jumps=dict(counts.jumps),
+            lag_s=Lag(p50=lag.p50, p99=lag.p99),
+            rates=Rates(clouds=clouds, points=points),
+            memory_bytes=memory_bytes(),
+            tiles=TileCounts(resident=resident, spilled=progress.spilled),
+            log=progress.log,
+            uptime_s=time.monotonic() - self._started,
+        )
+
+
+class StatusPublisher:
+    """Publishes the status once a second while it is entered."""
+
+    def __init__(self, session: zenoh.Session, keys: Keys, status: Callable[[], MapStatus]) -> None:
+        self._session = session
+        self._key = keys.status
+        self._status = status
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="status", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End; waits for a status that is being sent, 2 s at most."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+
+    def _run(self) -> None:
+        encoding = json_encoding("MapStatus")
+        while not self._closing.is_set():
+            # DROP: the next status makes up for a lost one, and a reader that stalls must not hold it up.
+            self._session.put(
+                self._key,
+                model_bytes(self._status()),
+                encoding=encoding,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+            self._closing.wait(PERIOD_S)

@@ -1,0 +1,169 @@
+"""The map on disk, `map.db`: one cut of the run, committed in one transaction."""
+
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xxhash
+import zstandard
+
+from roughmap import CELL_DTYPE, STATE_VERSION, RoughMap
+from roughmap.frozen import Frozen
+
+TILE_BYTES = 64 * 64 * CELL_DTYPE.itemsize
+
+COMPRESSION_LEVEL = 1
+"""Snapshots are taken while the robot drives: fast counts for more than small."""
+
+SCHEMA = """
+CREATE TABLE IF NOT EXISTS cut (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS tiles (
+    tx INTEGER NOT NULL, ty INTEGER NOT NULL, oldest_ns INTEGER NOT NULL, newest_ns INTEGER NOT NULL,
+    digest BLOB NOT NULL, records BLOB NOT NULL, PRIMARY KEY (tx, ty)
+);
+"""
+
+
+class StoreError(Exception):
+    """A map.db that can't be used; one line that names the file, what is wrong and what to do."""
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Where in the run the stored map stands, and what beside the map the run needs to go on from there.
+
+    ``input`` and ``record`` are the last ones before the cut; ``low_water`` is the oldest undecided cloud's input, else
+    the next input. ``poses`` are the robots' pose buffers, ``duplicates`` the remembered messages, as JSON values.
+    """
+
+    run: str
+    epoch: int
+    sequence: int
+    input: int
+    record: int
+    low_water: int
+    configuration: dict[str, Any]
+    configuration_digest: str
+    poses: dict[str, Any] = field(default_factory=dict)
+    duplicates: list[Any] = field(default_factory=list)
+    state_version: int = STATE_VERSION
+
+
+@dataclass(frozen=True, slots=True)
+class StoredTile:
+    """One tile as stored; ``records`` (4096,) CELL_DTYPE."""
+
+    tx: int
+    ty: int
+    oldest_ns: int
+    newest_ns: int
+    digest: bytes
+    records: np.ndarray[Any, np.dtype[np.void]]
+
+
+class Store:
+    """A `map.db` for reading and for writing whole cuts."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def exists(self) -> bool:
+        """Whether there is such a file."""
+        return self.path.exists()
+
+    def read_cut(self) -> Cut | None:
+        """The cut, or None if nothing was stored yet. StoreError if the file is no store."""
+        if not self.path.exists():
+            return None
+        with self._reading() as db:
+            values = {name: json.loads(value) for name, value in db.execute("SELECT name, value FROM cut")}
+        if not values:
+            return None
+        try:
+            return Cut(**values)
+        except TypeError as error:
+            raise StoreError(f"{self.path}: a store of another version ({error}); start with --fresh") from None
+
+    def read_tiles(self) -> Iterator[StoredTile]:
+        """All tiles, each checked against its digest. StoreError names the first that is damaged."""
+        unpack = zstandard.ZstdDecompressor()
+        with self._reading() as db:
+            for tx, ty, oldest, newest, digest, blob in db.execute(
+                "SELECT tx, ty, oldest_ns, newest_ns, digest, records FROM tiles ORDER BY tx, ty"
+            ):
+                try:
+                    raw = unpack.decompress(blob, max_output_size=TILE_BYTES)
+                except zstandard.ZstdError:
+                    raw = b""
+                if len(raw) != TILE_BYTES or xxhash.xxh3_128_digest(raw) != digest:
+                    raise StoreError(f"{self.path}: tile ({tx}, {ty}) is damaged; move the file away to rebuild it")
+                yield StoredTile(tx, ty, oldest, newest, digest, np.frombuffer(raw, CELL_DTYPE))
+
+    def load_into(self, rough_map: RoughMap, cut: Cut) -> None:
+        """Fill an empty map with the stored tiles, at the cut's sequence."""
+        rough_map.set_sequence(cut.sequence)
+        for tile in self.read_tiles():
+            rough_map.load_tile(tile.tx, tile.ty, tile.records, tile.oldest_ns, tile.newest_ns, tile.digest)
+
+    def write(self, cut: Cut, frozen: Frozen, after: int | None) -> None:
+        """Commit a cut: the tiles of ``frozen`` that changed after sequence ``after`` (None: all, and no others).
+
+        One transaction; what was there stays if anything fails. sqlite3.Error or OSError from the disk.
+        """
+        pack = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL, write_checksum=True)
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with closing(sqlite3.connect(self.path, isolation_level=None, timeout=5.0)) as db:
+            db.execute("PRAGMA journal_mode = WAL")
+            db.execute("PRAGMA synchronous = FULL")
+            db.executescript(SCHEMA)
+            db.execute("BEGIN IMMEDIATE")
+            try:
+                if after is None:
+                    db.execute("DELETE FROM tiles")
+                db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?, ?, ?, ?)", _rows(frozen, after, pack))
+                db.execute("DELETE FROM cut")
+                db.executemany(
+                    "INSERT INTO cut VALUES (?, ?)",
+                    [(name, json.dumps(value, allow_nan=False)) for name, value in asdict(cut).items()],
+                )
+                db.execute("COMMIT")
+            except BaseException:
+                db.execute("ROLLBACK")
+                raise
+
+    def write_map(
+        self, rough_map: RoughMap, configuration: dict[str, Any], configuration_digest: str, run: str
+    ) -> None:
+        """Store a map that no service keeps, as `build` and `replay` make them: a run's beginning, without a log."""
+        cut = Cut(run, 0, rough_map.sequence, 0, 0, 1, configuration, configuration_digest)
+        with rough_map.freeze() as frozen:
+            self.write(cut, frozen, None)
+
+    def set_aside(self, run: str) -> Path:
+        """Rename the store to map.db.RUN, so that a new run may begin; returns the new name."""
+        with closing(sqlite3.connect(self.path, timeout=5.0)) as db:
+            db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            db.execute("PRAGMA journal_mode = DELETE")
+        return self.path.rename(self.path.with_name(f"{self.path.name}.{run}"))
+
+    @contextmanager
+    def _reading(self) -> Iterator[sqlite3.Connection]:
+        try:
+            with closing(sqlite3.connect(f"file:{self.path}?mode=rw", uri=True, timeout=5.0)) as db:
+                yield db
+        except sqlite3.Error as error:
+            raise StoreError(f"{self.path}: {error}; it is no map.db, or damaged") from None
+
+
+def _rows(frozen: Frozen, after: int | None, pack: zstandard.ZstdCompressor) -> Iterable[tuple[Any, ...]]:
+    for (tx, ty), sequence in zip(frozen.tiles.tolist(), frozen.sequences.tolist(), strict=True):
+        if after is not None and sequence <= after:
+            continue
+        raw = frozen.records(tx, ty).tobytes()
+        oldest, newest = frozen.stamps(tx, ty)
+        yield tx, ty, oldest, newest, bytes.fromhex(frozen.digest(tx, ty)), pack.compress(raw)

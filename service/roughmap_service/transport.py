@@ -1,0 +1,93 @@
+"""The Zenoh session of the service: opened from the configuration, and where it can be reached."""
+
+import json
+import time
+from pathlib import Path
+from urllib.parse import quote
+
+import zenoh
+
+from roughmap_schemas import Keys
+from roughmap_schemas.config_load import LoadedConfig
+
+ADMIN_SECONDS = 5.0
+"""How long the session's own admin space may take to answer: it is asked in this process."""
+
+
+class TransportError(Exception):
+    """The session can't be opened; one line that names what to change."""
+
+
+def zenoh_config(loaded: LoadedConfig) -> zenoh.Config:
+    """The session's configuration: a zenoh file, if one is named, under the settings that were given.
+
+    A setting given nowhere leaves the file's value alone. The admin space is on, read only: only there does a session
+    tell the port that it got for 0.
+    """
+    settings = loaded.config.zenoh
+    if settings.config_file:
+        try:
+            config = zenoh.Config.from_file(settings.config_file)
+        except zenoh.ZError as error:
+            raise TransportError(f"zenoh.config_file {settings.config_file}: {_first_line(error)}") from None
+    else:
+        config = zenoh.Config()
+    entries = (
+        ("mode", "mode", settings.mode),
+        ("listen", "listen/endpoints", list(settings.listen)),
+        ("connect", "connect/endpoints", list(settings.connect)),
+        ("scouting", "scouting/multicast/enabled", settings.scouting),
+    )
+    for name, path, value in entries:
+        if not settings.config_file or loaded.given(f"zenoh.{name}"):
+            config.insert_json5(path, json.dumps(value))
+    config.insert_json5("adminspace/enabled", "true")
+    config.insert_json5("adminspace/permissions", json.dumps({"read": True, "write": False}))
+    return config
+
+
+def open_session(loaded: LoadedConfig) -> zenoh.Session:
+    """Open the session; TransportError where a port is taken or a setting is wrong."""
+    config = zenoh_config(loaded)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        where = ", ".join(loaded.config.zenoh.listen) or "no listen endpoint"
+        raise TransportError(
+            f"zenoh can't be opened on {where} ({_first_line(error)}); is the port in use? "
+            "Set zenoh.listen to another one"
+        ) from None
+
+
+def endpoints(session: zenoh.Session) -> list[str]:
+    """Where the session listens, with real ports."""
+    zid = str(session.info.zid())
+    for reply in session.get(f"@/{quote(zid)}/*", timeout=ADMIN_SECONDS):
+        if reply.ok is not None:
+            return [str(locator) for locator in json.loads(reply.ok.payload.to_bytes()).get("locators", [])]
+    return []
+
+
+def wait_alone(session: zenoh.Session, keys: Keys, seconds: float) -> list[str]:
+    """Wait until no other instance serves the map, ``seconds`` at most; returns those still there."""
+    until = time.monotonic() + seconds
+    while True:
+        others = [
+            str(reply.ok.key_expr)
+            for reply in session.liveliness().get(keys.alive_any, timeout=min(2.0, seconds))
+            if reply.ok is not None
+        ]
+        left = until - time.monotonic()
+        if not others or left <= 0:
+            return others
+        # Their tokens end by themselves: the lease of a dead instance, or the shutdown of a living one.
+        time.sleep(min(0.2, left))
+
+
+def lock_file(path: Path) -> Path:
+    """The lock beside a directory's or a store's own name."""
+    return path / ".lock" if path.is_dir() else path.with_name(path.name + ".lock")
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0][:200]

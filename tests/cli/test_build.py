@@ -1,0 +1,123 @@
+"""`roughmap build`: what is stored is the map that the library makes of the same points."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from roughmap import Noise, RoughMap, Scan, Trajectory
+from roughmap_service.cli.main import run
+from roughmap_service.store import Store
+
+RNG = np.random.default_rng(4)
+POSE_SIGMA = (0.05, 0.05, 0.05, 0.01, 0.01, 0.01)
+"""The configuration's default, as the design gives it."""
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def build(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    code = run(["build", *arguments])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def stored(file: Path) -> tuple[str, int]:
+    """The stored map's digest and sequence, read anew."""
+    store = Store(file)
+    cut = store.read_cut()
+    assert cut is not None
+    again = RoughMap()
+    store.load_into(again, cut)
+    return again.digest(), again.sequence
+
+
+def test_placed_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    points = RNG.uniform(-3, 3, (500, 3))
+    np.savez(tmp_path / "points.npz", points=points)
+    code, out, _ = build(["points.npz", "-o", "map.db", "--json"], capsys)
+    assert code == 0
+    by_hand = RoughMap()
+    by_hand.add(points, np.eye(3) * (0.02 * 0.02), 0)
+    report = json.loads(out)
+    assert report["points"] == report["accepted"] == 500
+    assert report["digest"] == by_hand.digest()
+    assert stored(tmp_path / "map.db") == (by_hand.digest(), 1)
+
+
+def test_text_gives_the_same_map_as_the_archive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    points = RNG.uniform(-3, 3, (200, 3))
+    np.savez(tmp_path / "points.npz", points=points)
+    # repr of a float64 reads back as the same float64: the same bytes are expected.
+    lines = [",".join(repr(float(value)) for value in row) for row in points]
+    (tmp_path / "points.csv").write_text("x,y,z\n" + "\n".join(lines))
+    assert build(["points.npz", "-o", "a.db"], capsys)[0] == 0
+    assert build(["points.csv", "-o", "b.db"], capsys)[0] == 0
+    assert stored(tmp_path / "a.db")[0] == stored(tmp_path / "b.db")[0]
+
+
+def test_scans_with_their_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    points = RNG.integers(-4000, 4000, (300, 3)).astype(np.int32)
+    pose = np.tile(np.eye(4), (2, 1, 1))
+    pose[1, :3, :3] = Rotation.from_euler("z", 30, degrees=True).as_matrix()
+    pose[1, :3, 3] = 5, 6, 7
+    np.savez(
+        tmp_path / "scans.npz",
+        points=points,
+        scan_start=np.array([0, 100, 300]),
+        pose=pose,
+        stamp_s=np.array([1.0, 1.5]),
+    )
+    (tmp_path / "here.toml").write_text("[sensors.lidar]\ntranslation = [9.0, 9.0, 9.0]\nrange_sigma = 0.03\n")
+    code, out, _ = build(["scans.npz", "-o", "map.db", "-c", "here.toml", "--json"], capsys)
+    assert code == 0
+    by_hand = RoughMap()
+    covariance = np.diag(np.array(POSE_SIGMA) ** 2)[None]
+    for k, (begin, end) in enumerate([(0, 100), (100, 300)]):
+        stamp = 1_000_000_000 + 500_000_000 * k
+        rotation = Rotation.from_matrix(pose[k, :3, :3]).as_quat()[None]
+        trajectory = Trajectory(np.array([stamp]), pose[k, :3, 3][None], rotation, covariance)
+        by_hand.add_scan(Scan(points[begin:end] / 1000.0, stamp), trajectory, Noise(0.03))
+    assert json.loads(out)["digest"] == by_hand.digest() == stored(tmp_path / "map.db")[0]
+
+
+def test_scans_need_a_sensor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.savez(tmp_path / "s.npz", points=np.ones((4, 3)), scan_start=np.array([0, 4]), pose=np.eye(4)[None])
+    code, _, err = build(["s.npz", "-o", "map.db"], capsys)
+    assert code == 2
+    assert "[sensors.lidar]" in err
+    assert "--range-sigma" in err
+    assert not (tmp_path / "map.db").exists()
+
+
+def test_what_is_there_is_kept_unless_forced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.savez(tmp_path / "points.npz", points=np.ones((4, 3)))
+    (tmp_path / "map.db").write_text("mine")
+    code, _, err = build(["points.npz", "-o", "map.db"], capsys)
+    assert code == 2
+    assert "--force" in err
+    assert (tmp_path / "map.db").read_text() == "mine"
+    assert build(["points.npz", "-o", "map.db", "--force"], capsys)[0] == 0
+    assert stored(tmp_path / "map.db")[1] == 1
+
+
+def test_a_torn_file_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "points.npz").write_bytes(b"PK\x03\x04 torn")
+    code, _, err = build(["points.npz", "-o", "map.db"], capsys)
+    assert code == 2
+    assert "points.npz" in err
+    assert err.count("\n") == 1
+
+
+def test_rejected_points_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    points = np.ones((10, 3))
+    points[3, 1] = np.nan
+    np.savez(tmp_path / "points.npz", points=points)
+    code, out, _ = build(["points.npz", "-o", "map.db"], capsys)
+    assert code == 0
+    assert "9 of 10 points integrated; rejected: 1 not_finite" in out
