@@ -17,11 +17,12 @@ from roughmap_schemas.layers import LAYERS, LIMIT_NAMES
 from roughmap_schemas.values import (
     NUMBER,
     AtLeastOne,
-    Bounds,
     Box,
     Ceiling,
     Frame,
+    MaybeBounds,
     MaybeNone,
+    Measure,
     Name,
     NotNegative,
     NotNegativeWhole,
@@ -65,15 +66,15 @@ class MapConfig(Section):
 
     name: Name = "site"
     frame_id: Frame = "map"
-    cell_size: Positive = 0.1
+    cell_size: Measure = 0.1
     error_model: Literal["point", "cuboid", "ellipsoid"] = "cuboid"
-    coverage: Positive = 2.0
-    min_radius: Positive = 1e-3
-    min_distance: Positive = 1e-3
+    coverage: Measure = 2.0
+    min_radius: Measure = 1e-3
+    min_distance: Measure = 1e-3
     min_share: Share = 0.05
-    max_horizontal_radius: Positive = 0.5
+    max_horizontal_radius: Measure = 0.5
     height_tolerance: Positive = 0.05
-    bounds: Annotated[Bounds | None, MaybeNone] = None
+    bounds: MaybeBounds = None
     levels: Annotated[int, Field(ge=1, le=24), NUMBER] = 8
     memory_limit: Size = 2 << 30
     max_new_tiles: AtLeastOne = 4096
@@ -100,7 +101,8 @@ def _endpoints(value: object) -> object:
     return [] if value == "" else value
 
 
-Endpoints = Annotated[list[Annotated[str, Field(min_length=1)]], BeforeValidator(_endpoints)]
+Endpoint = Annotated[str, Field(min_length=1)]
+Endpoints = Annotated[list[Endpoint], BeforeValidator(_endpoints, json_schema_input_type=list[Endpoint] | Literal[""])]
 
 
 class ZenohConfig(Section):

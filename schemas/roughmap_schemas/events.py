@@ -9,9 +9,6 @@ from roughmap_schemas.faults import UnknownEventKind
 from roughmap_schemas.messages import BadJson, Hex32, Message, Number, model_bytes
 from roughmap_schemas.reasons import CloudReason, PointReason
 
-RESERVED_KINDS: Final = ("forget", "edit", "remap")
-"""Kinds that a later version may write; to this one they are as unknown as any other."""
-
 Input = Annotated[int, Field(ge=1)]
 
 
@@ -54,6 +51,7 @@ Event = IntegrationEvent | CheckpointEvent | ResetEvent
 
 EVENT: Final[TypeAdapter[Event]] = TypeAdapter(Annotated[Event, Field(discriminator="kind")])
 KINDS: Final = ("integration", "checkpoint", "reset")
+"""``forget``, ``edit`` and ``remap`` are reserved for later versions; to this one they are as unknown as any other."""
 
 
 def encode_event(event: Event) -> bytes:

@@ -1,6 +1,7 @@
 """Writes the JSON Schemas of the contract, for programs in other languages.
 
-``python -m roughmap_schemas.export`` writes them to schemas/json; ``--check`` only tells what is not up to date.
+``python -m roughmap_schemas.export`` writes them to schemas/json, or to ``--folder``; ``--check`` only tells
+what is not up to date.
 """
 
 import argparse
@@ -52,10 +53,7 @@ def json_schema(name: str) -> dict[str, Any]:
     """Give the JSON Schema of one model: of what is written, for settings of what may be read."""
     kind = MODELS[name]
     mode: Any = "validation" if name == "Config" else "serialization"
-    if isinstance(kind, TypeAdapter):
-        schema = kind.json_schema(mode=mode)
-    else:
-        schema = kind.model_json_schema(mode=mode)
+    schema = kind.json_schema(mode=mode) if isinstance(kind, TypeAdapter) else kind.model_json_schema(mode=mode)
     return {"$schema": DIALECT, "title": name, **{key: value for key, value in schema.items() if key != "title"}}
 
 
@@ -76,14 +74,14 @@ def _plain(value: Any) -> Any:
     return str(value) if value in (float("inf"), float("-inf")) else value
 
 
-def stale(folder: Path = FOLDER) -> list[str]:
+def stale(folder: Path) -> list[str]:
     """Name the files that differ from the models, are missing, or belong to none."""
     wanted = texts()
     found = {path.name: path.read_text(encoding="utf-8") for path in folder.glob("*.json")}
     return sorted(name for name in wanted.keys() | found.keys() if wanted.get(name) != found.get(name))
 
 
-def write(folder: Path = FOLDER) -> list[str]:
+def write(folder: Path) -> list[str]:
     """Bring the folder up to date; gives the names of the files that changed."""
     changed = stale(folder)
     wanted = texts()
@@ -100,10 +98,12 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command; gives the exit code."""
     parser = argparse.ArgumentParser(prog="python -m roughmap_schemas.export", description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a file is not up to date")
-    check = parser.parse_args(arguments).check
-    names = stale() if check else write()
+    parser.add_argument("--folder", type=Path, default=FOLDER, help="where they lie (default: %(default)s)")
+    given = parser.parse_args(arguments)
+    check, folder = given.check, given.folder
+    names = stale(folder) if check else write(folder)
     for name in names:
-        sys.stderr.write(f"{FOLDER / name}: {'is not up to date' if check else 'written'}\n")
+        sys.stderr.write(f"{folder / name}: {'is not up to date' if check else 'written'}\n")
     if check and names:
         sys.stderr.write("mend it with: python -m roughmap_schemas.export\n")
     return 1 if check and names else 0

@@ -205,7 +205,7 @@ class Keys:
         """Take the key expression of a tile query apart: each of level, x and y is a number or ``*`` (None).
 
         Raises ``QueryFault``: ``bad_key`` for another form or a number that is not canonical, ``bad_level`` for a level
-        below 0 or not below ``levels``. ``**`` alone in place of all three numbers stands for ``*/*/*``.
+        below 0 or not below ``levels``.
         """
         return self._selected("tiles", key, levels)
 
@@ -223,8 +223,6 @@ class Keys:
     def _selected(self, name: str, key: str, levels: int | None) -> Selected:
         form = self._forms[name]
         values = form.parse(key)
-        if values is None and key in self._double_wild(form):
-            return None, None, None
         if values is None:
             expected = form.make(z="{z}", x="{x}", y="{y}")
             raise QueryFault(QueryCode.BAD_KEY, f"expected {expected}; found {key[:200]!r}")
@@ -242,14 +240,6 @@ class Keys:
             allowed = f"0 to {levels - 1}" if levels is not None else "0 and above"
             raise QueryFault(QueryCode.BAD_LEVEL, f"level: expected {allowed}; found {z}")
         return z, numbers["x"], numbers["y"]
-
-    @staticmethod
-    def _double_wild(form: KeyForm) -> tuple[str, ...]:
-        """Give the forms with ``**`` that mean every tile, if the three numbers stand together at the end."""
-        if set(form.chunks[-3:]) != {"{z}", "{x}", "{y}"}:
-            return ()
-        head = "/".join(form.chunks[:-3])
-        return f"{head}/**", f"{head}/*/**"
 
     def control(self, action: str) -> str:
         """Give the key of an operator's action (``snapshot`` or ``reset``)."""

@@ -19,6 +19,7 @@ Limits = Mapping[str, float]
 
 DECIMAL: Final = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
 COUNT: Final = re.compile(r"0|[1-9][0-9]{0,18}")
+WHOLE: Final = re.compile(r"0|-?[1-9][0-9]{0,18}")
 
 T = TypeVar("T")
 
@@ -27,7 +28,8 @@ def parse_parameters(text: str) -> dict[str, str]:
     """Split ``name=value`` pairs joined by ``;``, each at its first ``=``.
 
     Names that begin with ``_`` are Zenoh's and left out. Raises ``QueryFault``: ``too_large`` for a text over
-    ``MAX_TEXT``, ``bad_parameter`` for a blank, an empty name, a missing ``=`` or a name that stands twice.
+    ``MAX_TEXT``, ``bad_parameter`` for a blank, an empty name, a missing ``=`` or a name that stands twice (a blank in
+    ``bbox`` is ``bad_bbox``, as any fault in its value).
     """
     if len(text) > MAX_TEXT:
         raise QueryFault(QueryCode.TOO_LARGE, f"parameters: expected at most {MAX_TEXT} bytes; found {len(text)}")
@@ -39,7 +41,8 @@ def parse_parameters(text: str) -> dict[str, str]:
         if not name or not equals:
             raise bad("parameters", "name=value joined by ;", part)
         if any(letter.isspace() for letter in part):
-            raise bad(name, "a value without blanks", part)
+            code = QueryCode.BAD_BBOX if name == "bbox" else QueryCode.BAD_PARAMETER
+            raise QueryFault(code, f"{name[:80]}: expected a value without blanks; found {shown(part)}")
         if name in parameters:
             raise QueryFault(QueryCode.BAD_PARAMETER, f"{shown(name)}: given twice")
         parameters[name] = value
@@ -111,6 +114,17 @@ def parse_count(name: str) -> Callable[[str], int]:
     def parse(text: str) -> int:
         if not COUNT.fullmatch(text):
             raise bad(name, "a whole number from 0", text)
+        return int(text)
+
+    return parse
+
+
+def parse_whole(name: str) -> Callable[[str], int]:
+    """Make the reader of a whole number of either sign: what range it must be in has a code of its own."""
+
+    def parse(text: str) -> int:
+        if not WHOLE.fullmatch(text):
+            raise bad(name, "a whole number", text)
         return int(text)
 
     return parse

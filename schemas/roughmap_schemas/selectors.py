@@ -10,7 +10,6 @@ from typing import Annotated, Final, Self
 from pydantic import Field, TypeAdapter, ValidationError
 
 from roughmap_schemas.faults import QueryFault
-from roughmap_schemas.keys import canonical_number
 from roughmap_schemas.layers import DEFAULT_LAYERS
 from roughmap_schemas.parameters import (
     Bbox,
@@ -18,7 +17,6 @@ from roughmap_schemas.parameters import (
     Dtype,
     Limits,
     Reader,
-    bad,
     format_bbox,
     format_limits,
     format_parameters,
@@ -32,6 +30,7 @@ from roughmap_schemas.parameters import (
     parse_limits,
     parse_parameters,
     parse_positive,
+    parse_whole,
 )
 from roughmap_schemas.reasons import QueryCode
 
@@ -156,10 +155,7 @@ class RegionQuery(GridLook):
     def parse(cls, parameters: Mapping[str, str] | str, levels: int) -> Self:
         """Read them for a map of so many levels; raises ``QueryFault``."""
         reader = Reader(parameters, *GRID_LOOK, "bbox", "level")
-        level_text = reader.take("level", str, "0")
-        level = canonical_number(level_text)
-        if level is None:
-            raise bad("level", "a whole number from 0", level_text)
+        level = reader.take("level", parse_whole("level"), 0)
         if not 0 <= level < levels:
             raise QueryFault(QueryCode.BAD_LEVEL, f"level: expected 0 to {levels - 1}; found {level}")
         bbox = reader.take("bbox", parse_bbox, None)

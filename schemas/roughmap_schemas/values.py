@@ -2,7 +2,7 @@
 
 import math
 import re
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
@@ -73,10 +73,19 @@ NUMBER: Final = BeforeValidator(_no_bool)
 Real = Annotated[float, Field(allow_inf_nan=False), NUMBER]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), NUMBER]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), NUMBER]
+Measure = Annotated[float, Field(ge=1e-30, le=1e30), NUMBER]
+"""A number above 0 whose squares and cubes are float64 numbers too, as the map core wants its lengths."""
 Share = Annotated[float, Field(ge=0, le=1), NUMBER]
-Reach = Annotated[float, Field(gt=0), NUMBER]
+# JSON, which has no infinity, says "inf".
+Reach = Annotated[
+    float,
+    Field(gt=0),
+    BeforeValidator(_no_bool, json_schema_input_type=Annotated[float, Field(gt=0)] | Literal["inf"]),
+]
 """A distance that may be infinite; nan is not above 0."""
-Ceiling = Annotated[float, Field(gt=-math.inf), NUMBER]
+Ceiling = Annotated[
+    float, Field(gt=-math.inf), BeforeValidator(_no_bool, json_schema_input_type=float | Literal["inf"])
+]
 
 AtLeastOne = Annotated[int, Field(ge=1), NUMBER]
 NotNegativeWhole = Annotated[int, Field(ge=0), NUMBER]
@@ -91,6 +100,9 @@ Bounds = Annotated[tuple[Real, Real, Real, Real], AfterValidator(_box)]
 Box = Annotated[tuple[Real, Real, Real, Real, Real, Real], AfterValidator(_box)]
 MaybeNone = BeforeValidator(_nothing)
 """Where "" stands for none."""
+MaybeBounds = Annotated[
+    Bounds | None, BeforeValidator(_nothing, json_schema_input_type=tuple[Real, Real, Real, Real] | Literal[""] | None)
+]
 
 Once = AfterValidator(_once)
 """A list in which nothing stands twice."""

@@ -65,9 +65,9 @@ def schema() -> None:
 
     The configuration's JSON Schema: every key, its type, its default and what is allowed.
     """
-    from roughmap_schemas.config import Config
+    from roughmap_schemas.export import texts
 
-    click.echo(json.dumps(Config.model_json_schema(), indent=2))
+    click.echo(texts()["Config.json"], nl=False)
 
 
 def flat(nested: dict[str, object], prefix: str = "") -> dict[str, object]:
