@@ -1,1 +1,30 @@
-"""roughmap."""
+"""roughmap for planners: ask a service for its map, and feed it, over Zenoh."""
+
+from roughmap_client.answers import Cells, Changes, Layers, Region, Tile, Version
+from roughmap_client.client import RoughMapClient
+from roughmap_client.errors import (
+    IncompleteAnswer,
+    MixedInstances,
+    NoAnswer,
+    QueryRefused,
+    RoughMapError,
+    UnreadableAnswer,
+)
+from roughmap_client.watching import Watch
+
+__all__ = [
+    "Cells",
+    "Changes",
+    "IncompleteAnswer",
+    "Layers",
+    "MixedInstances",
+    "NoAnswer",
+    "QueryRefused",
+    "Region",
+    "RoughMapClient",
+    "RoughMapError",
+    "Tile",
+    "UnreadableAnswer",
+    "Version",
+    "Watch",
+]

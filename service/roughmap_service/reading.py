@@ -203,7 +203,7 @@ class Reader:
 
 
 def _tile_box(x: int | None, y: int | None, bbox: Bbox | None, cell_size: float) -> Box | None:
-    """The tiles (x0, y0, x1, y1), inclusive, of a key and a bbox together; None for all, x0 > x1 or y0 > y1 for none."""
+    """Tiles x0, y0, x1, y1, inclusive, of a key and a bbox together; None for all, x0 > x1 or y0 > y1 for none."""
     if x is None and y is None and bbox is None:
         return None
     x0 = y0 = -TILE_LIMIT

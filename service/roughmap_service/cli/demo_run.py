@@ -121,7 +121,7 @@ def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int,
     replay_code, replay_line = replay(log_directory, out / "replay.txt")
     replay_s = time.monotonic() - replay_begun
     say("drawing")
-    error = height_error(fleet[0], region["mean_height"], region.origin, region.cell_size)
+    error = height_error(fleet[0], region["mean_height"].astype(np.float64), region.origin, region.cell_size)
     pictures = tuple(
         _draw(out / file, region, layer, fleet[0], seconds)
         for file, layer in (

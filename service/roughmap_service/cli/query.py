@@ -103,14 +103,15 @@ def _endpoints(connect: tuple[str, ...], listen: list[str]) -> list[str]:
 def _save(file: Path, region: "Region", names: list[str]) -> None:
     import numpy as np
 
-    about: dict[str, Any] = {
+    arrays: dict[str, Any] = {
         "origin": np.array(region.origin),
         "cell_size": region.cell_size,
         "sequence": region.sequence,
         "epoch": region.epoch,
+        **{name: region[name] for name in names},
     }
     with file.open("wb") as stream:
-        np.savez_compressed(stream, **about, **{name: region[name] for name in names})
+        np.savez_compressed(stream, **arrays)
 
 
 def statistics(layer: str, values: Any) -> Stats:

@@ -1,0 +1,88 @@
+"""Tiles as they change, handed to a callback one by one."""
+
+import logging
+import threading
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+import zenoh
+
+from roughmap_client.answers import Tile
+from roughmap_client.errors import RoughMapError
+
+log = logging.getLogger(__name__)
+
+END_S = 5.0
+"""How long the end of a watch waits for the callback that runs."""
+
+
+class Watch:
+    """A subscription and the thread that calls back; close it, or use it as a context manager.
+
+    What waits is one sample a tile, so that a slow callback sees fewer states, each the newest, and memory is bounded
+    by the map's tiles and not by time.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key: str,
+        read: Callable[[zenoh.Sample], Tile],
+        callback: Callable[[Tile], None],
+        on_error: Callable[[RoughMapError], None] | None,
+    ) -> None:
+        self._read = read
+        self._callback = callback
+        self._on_error = on_error
+        self._wake = threading.Condition()
+        self._waiting: dict[str, zenoh.Sample] = {}
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
+        self._thread.start()
+        self._undeclare: Callable[[], object] = session.declare_subscriber(
+            key, zenoh.handlers.Callback(self._take, indirect=False)
+        ).undeclare
+
+    def close(self) -> None:
+        """End; no callback begins after this."""
+        with self._wake:
+            if self._closed:
+                return
+            self._closed = True
+            self._wake.notify()
+        self._undeclare()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(END_S)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        if sample.kind != zenoh.SampleKind.PUT:
+            return
+        with self._wake:
+            self._waiting[str(sample.key_expr)] = sample
+            self._wake.notify()
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._closed or bool(self._waiting))
+                if self._closed:
+                    return
+                sample = self._waiting.pop(next(iter(self._waiting)))
+            try:
+                tile = self._read(sample)
+            except RoughMapError as error:
+                if self._on_error is None:
+                    log.warning("an update can't be read: %s", error)
+                else:
+                    self._on_error(error)
+                continue
+            self._callback(tile)
