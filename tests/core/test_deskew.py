@@ -1,0 +1,124 @@
+"""Points with times of their own: position linear, rotation along the shorter arc, covariance linear."""
+
+from math import cos, pi, sin
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from strategies import SECOND_NS, START_NS
+
+from roughmap import Limits, Noise, PointReason, RoughMap, Scan, Trajectory, georeference
+
+NS = np.array([0, SECOND_NS // 4, SECOND_NS // 2, SECOND_NS])
+
+
+def yaw(angle: float) -> tuple[float, float, float, float]:
+    return 0.0, 0.0, sin(angle / 2), cos(angle / 2)
+
+
+def two_poses(first: object, second: object, covariance: np.ndarray | None = None) -> Trajectory:
+    """From the origin to (8, -4, 2) within a second."""
+    S = np.zeros((2, 6, 6)) if covariance is None else covariance
+    return Trajectory([START_NS, START_NS + SECOND_NS], [(0, 0, 0), (8, -4, 2)], [first, second], S)
+
+
+def ahead(offsets: np.ndarray = NS) -> Scan:
+    """One return a time, 1 m ahead."""
+    return Scan(np.tile((1.0, 0.0, 0.0), (len(offsets), 1)), START_NS, offsets)
+
+
+def test_the_position_is_linear() -> None:
+    """At 0, 1/4, 1/2, 1 of (8, -4, 2), 1 m ahead along x."""
+    points, _, reason = georeference(ahead(), two_poses(yaw(0), yaw(0)), Noise(0.01))
+    assert not reason.any()
+    np.testing.assert_array_equal(points, [(1, 0, 0), (3, -1, 0.5), (5, -2, 1), (9, -4, 2)])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 0.02, pi / 2, 3.1, -2.0])
+def test_the_rotation_goes_evenly_along_the_shorter_arc(angle: float, sign: float) -> None:
+    """q and -q are the same rotation: with either the way is the one of at most half a turn."""
+    way = two_poses(yaw(0.3), sign * np.array(yaw(0.3 + angle)))
+    points, _, _ = georeference(ahead(), way, Noise(0.01))
+    u = NS / SECOND_NS
+    heading = 0.3 + u * angle
+    expected = u[:, None] * (8, -4, 2) + np.stack([np.cos(heading), np.sin(heading), np.zeros(4)], axis=1)
+    # Near half a turn the weights are quotients of small numbers: 1 / sinc(pi / 2) is but 1.6.
+    np.testing.assert_allclose(points, expected, rtol=0, atol=5e-15)
+
+
+@settings(deadline=None, max_examples=50)
+@given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([1e-9, 1e-3, 0.3, 3.0]))
+def test_slerp_turns_at_a_constant_rate(seed: int, scale: float) -> None:
+    """From pose to pose the turn is the same axis, an angle in proportion to the time."""
+    rng = np.random.default_rng(seed)
+    first = Rotation.random(random_state=rng)
+    axis = rng.normal(size=3)
+    step = scale * axis / np.linalg.norm(axis)
+    second = Rotation.from_rotvec(step) * first
+    way = two_poses(first.as_quat(), second.as_quat())
+    points, _, _ = georeference(ahead(), way, Noise(0.01))
+    u = NS / SECOND_NS
+    expected = u[:, None] * (8, -4, 2) + (Rotation.from_rotvec(u[:, None] * step) * first).apply((1, 0, 0))
+    np.testing.assert_allclose(points, expected, rtol=0, atol=1e-14)
+
+
+def test_the_covariance_is_linear() -> None:
+    """Without a lever and without noise but the pose's, S is its upper left block: from 1e-4 to 9e-4 in quarters."""
+    pair = np.stack([np.diag([1e-4] * 3 + [0.0] * 3), np.diag([9e-4] * 3 + [0.0] * 3)])
+    _, covariance, _ = georeference(ahead(), two_poses(yaw(0), yaw(1), pair), Noise(0.0))
+    np.testing.assert_allclose(covariance[:, 0, 0], [1e-4, 3e-4, 5e-4, 9e-4], rtol=1e-14)
+    np.testing.assert_allclose(covariance[:, 0, 1], 0.0, atol=1e-19)
+
+
+def test_a_scan_without_times_is_placed_at_its_stamp() -> None:
+    way = two_poses(yaw(0), yaw(1))
+    still = georeference(Scan([(1, 0, 0)], START_NS + SECOND_NS // 4), way, Noise(0.01))
+    moved = georeference(Scan([(1, 0, 0)], START_NS, np.array([SECOND_NS // 4])), way, Noise(0.01))
+    for a, b in zip(still, moved, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_the_bracket_is_found_whatever_the_order_of_the_points() -> None:
+    """The search begins where the last one ended: points in time, backwards and shuffled land at the same place."""
+    rng = np.random.default_rng(5)
+    stamps = START_NS + np.cumsum(rng.integers(1, 10**7, 90))
+    way = Trajectory(stamps, rng.normal(size=(90, 3)), rng.normal(size=(90, 4)), np.zeros((90, 6, 6)))
+    offsets = np.concatenate([np.sort(rng.integers(0, stamps[-1] - START_NS, 400)), stamps - START_NS])
+    points = rng.normal(0, 3, (490, 3))
+    first = georeference(Scan(points, START_NS, offsets), way, Noise(0.01))
+    order = rng.permutation(490)
+    second = georeference(Scan(points[order], START_NS, offsets[order]), way, Noise(0.01))
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a[order], b)
+
+
+def test_no_extrapolation_and_no_wide_gaps() -> None:
+    """Poses at 0.0, 0.1 and 0.7 s: what lies before, after and within the gap has no pose; exact stamps have."""
+    stamps = START_NS + np.array([0, 1, 7]) * (SECOND_NS // 10)
+    way = Trajectory(stamps, np.zeros((3, 3)), np.tile((0, 0, 0, 1), (3, 1)), np.zeros((3, 6, 6)))
+    offsets = np.array([0, 1, SECOND_NS // 10, SECOND_NS // 10 + 1, 7 * SECOND_NS // 10, 7 * SECOND_NS // 10 + 1])
+    _, _, reason = georeference(ahead(offsets), way, Noise(0.01), Limits(max_pose_gap=0.5))
+    missing = int(PointReason.NO_POSE)
+    assert reason.tolist() == [0, 0, 0, missing, 0, missing]
+    _, _, reason = georeference(ahead(offsets), way, Noise(0.01), Limits(max_pose_gap=0.6))
+    assert reason.tolist() == [0, 0, 0, 0, 0, missing]
+    early = Scan([(1, 0, 0)], START_NS - 1)
+    assert georeference(early, way, Noise(0.01))[2].tolist() == [missing]
+
+
+def test_deskewing_makes_a_turning_wall_flat() -> None:
+    """A wall 5 m ahead, seen by a scanner that turns by 1 rad within the sweep: all points fall into one column."""
+    way = two_poses(yaw(0), yaw(1.0))
+    u = np.linspace(0, 1, 500)
+    position = u[:, None] * (8, -4, 2)
+    wall = np.stack([np.full(500, 20.05), np.linspace(-3, 3, 500), np.zeros(500)], axis=1)
+    seen = Rotation.from_euler("z", u[:, None]).inv().apply(wall - position)
+    offsets = np.round(u * SECOND_NS).astype(np.int64)
+    m = RoughMap(error_model="point", threads=1)
+    m.add_scan(Scan(seen, START_NS, offsets), way, Noise(0.01))
+    extent = m.region((19, -4, 21, 4), ["count"])["count"]
+    assert np.flatnonzero(extent.any(axis=0)).tolist() == [10]
+    assert extent.sum() == 500
