@@ -3,9 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from roughmap import AddReport, RoughMap, Scan, TooManyTiles
+from roughmap.cell import OFFSET_LIMIT_NS
 from roughmap_schemas import (
     CheckpointEvent,
     Cloud,
@@ -13,6 +12,7 @@ from roughmap_schemas import (
     Event,
     IntegrationEvent,
     Odometry,
+    PointReason,
     PoseReason,
     ResetEvent,
     Transform,
@@ -21,9 +21,6 @@ from roughmap_schemas import (
 from .inbox import INTEGRATED
 from .poses import Pose, PoseBuffer, trajectory
 from .settings import Settings
-
-MAX_OFFSET_NS = 1_000_000_000
-"""A point's own time lies at most so long after its cloud's stamp (the design's)."""
 
 PLACED = (INTEGRATED, CloudReason.EMPTY, CloudReason.TOO_MANY_TILES)
 """Outcomes that only placing the cloud tells; all others are known before."""
@@ -85,7 +82,8 @@ class RunState:
         cloud = self.clouds.pop(event.input, None)
         if cloud is None:
             raise RunError(f"an event names input {event.input}, which is no undecided cloud of this log")
-        outcome, accepted, rejected = str(event.outcome), 0, dict[str, int]()
+        outcome: str = event.outcome
+        accepted, rejected = 0, dict[PointReason, int]()
         if event.outcome in PLACED:
             try:
                 poses = self.buffer(event.robot).named(event.poses)
@@ -96,7 +94,8 @@ class RunState:
                 ) from None
             try:
                 report = integrate(self.map, event.robot, cloud, poses, self.settings)
-                accepted, rejected = report.accepted, dict(report.rejected)
+                accepted = report.accepted
+                rejected = {PointReason(name): n for name, n in report.rejected.items()}
                 outcome = INTEGRATED if accepted else CloudReason.EMPTY
             except TooManyTiles:
                 outcome = CloudReason.TOO_MANY_TILES
@@ -139,15 +138,9 @@ def integrate(rough_map: RoughMap, robot: str, cloud: Cloud, poses: Sequence[Pos
 
 def _integrate_placed(rough_map: RoughMap, cloud: Cloud, settings: Settings, limits: Mapping[str, int]) -> AddReport:
     """A cloud in the map's own frame: no pose, no limits of a sensor, one covariance for all its points."""
-    points = np.asarray(cloud.points)
-    if cloud.offsets_ns is None:
-        return rough_map.add(points, settings.placed_covariance, cloud.stamp_ns, **limits)
-    off = (cloud.offsets_ns < 0) | (cloud.offsets_ns > MAX_OFFSET_NS)
-    off &= np.isfinite(points).all(axis=1)  # a point that isn't finite is counted as that, whatever its time
-    stamps = cloud.stamp_ns + np.clip(cloud.offsets_ns, 0, MAX_OFFSET_NS)
-    report = rough_map.add(points[~off], settings.placed_covariance, stamps[~off], **limits)
-    late = int(np.count_nonzero(off))
-    return AddReport(report.accepted, report.rejected | ({"time": late} if late else {}), report.tiles)
+    return rough_map.add(
+        cloud.points, settings.placed_covariance, cloud.stamp_ns, offsets_ns=cloud.offsets_ns, **limits
+    )
 
 
 def span(cloud: Cloud) -> tuple[int, int]:
@@ -155,8 +148,8 @@ def span(cloud: Cloud) -> tuple[int, int]:
     if cloud.offsets_ns is None or not len(cloud.offsets_ns):
         return cloud.stamp_ns, cloud.stamp_ns
     offsets = cloud.offsets_ns
-    if int(offsets.min()) < 0 or int(offsets.max()) > MAX_OFFSET_NS:
-        offsets = offsets[(offsets >= 0) & (offsets <= MAX_OFFSET_NS)]
+    if int(offsets.min()) < 0 or int(offsets.max()) > OFFSET_LIMIT_NS:
+        offsets = offsets[(offsets >= 0) & (offsets <= OFFSET_LIMIT_NS)]
         if not len(offsets):
             return cloud.stamp_ns, cloud.stamp_ns
     return cloud.stamp_ns + int(offsets.min()), cloud.stamp_ns + int(offsets.max())
