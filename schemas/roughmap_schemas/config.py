@@ -156,10 +156,29 @@ class SensorConfig(Section):
         return self
 
 
+def _all_optional(schema: dict[str, Any]) -> None:
+    schema.pop("required", None)
+    for member in schema["properties"].values():
+        member.pop("default", None)
+
+
+class SensorOverrides(SensorConfig):
+    """A robot's own settings of a sensor; what is left out comes from the general ones of that frame."""
+
+    # Stands for a JSON Schema alone: when a robot is validated, its tables lie over the general ones already.
+    model_config = ConfigDict(json_schema_extra=_all_optional)
+
+
+def _as_it_is(value: object) -> object:
+    return value
+
+
 class RobotConfig(Section):
     """What differs on one robot: its sensors' settings, over the general ones of the same frame."""
 
-    sensors: dict[Frame, SensorConfig] = {}
+    sensors: Annotated[
+        dict[Frame, SensorConfig], BeforeValidator(_as_it_is, json_schema_input_type=dict[Frame, SensorOverrides])
+    ] = {}
 
 
 class UpdatesConfig(Section):

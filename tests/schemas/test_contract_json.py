@@ -1,0 +1,188 @@
+"""JSON: messages, events and the metadata of a run, there and back."""
+
+import json
+import math
+
+import pytest
+from contract_tools import few
+from hypothesis import given
+from hypothesis import strategies as st
+from json_samples import CHECKPOINT, DIGEST, EVENTS, HEX, INTEGRATION, METADATA, SAMPLES, STATE, STATUS, TILE
+from pydantic import ValidationError
+
+from roughmap_schemas import (
+    BadJson,
+    CellEntry,
+    CellState,
+    CloudReason,
+    MapStatus,
+    PointReason,
+    PoseReason,
+    QueryCode,
+    Receipt,
+    Refusal,
+    RunMetadata,
+    TileInfo,
+    UnknownEventKind,
+    decode_event,
+    encode_event,
+    model_bytes,
+    parse_model,
+)
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_messages_there_and_back(name: str) -> None:
+    sample = SAMPLES[name]
+    assert parse_model(type(sample), model_bytes(sample)) == sample
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_unknown_missing_and_foreign_members(name: str) -> None:
+    kind, values = type(SAMPLES[name]), json.loads(model_bytes(SAMPLES[name]))
+    with pytest.raises(BadJson, match=f"{name} in JSON: more"):
+        parse_model(kind, json.dumps({**values, "more": 1}))
+    first = next(iter(values))
+    with pytest.raises(BadJson, match=first):
+        parse_model(kind, json.dumps({key: value for key, value in values.items() if key != first}))
+    for payload in (b"", b"[]", b"null", b"{", b"\xff"):
+        with pytest.raises(BadJson):
+            parse_model(kind, payload)
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_json_never_holds_nan(name: str) -> None:
+    def never(word: str) -> None:
+        raise AssertionError(f"{word} in JSON")
+
+    json.loads(model_bytes(SAMPLES[name]), parse_constant=never)
+
+
+def test_the_members_that_the_contract_names() -> None:
+    assert list(MapStatus.model_fields) == list(STATUS)
+    assert list(TileInfo.model_fields) == list(TILE)
+    assert list(CellState.model_fields) == list(STATE)
+    assert list(json.loads(model_bytes(SAMPLES["CellAnswer"]))) == ["map", "instance", "epoch", "sequence", "cells"]
+    assert list(CellEntry.model_fields) == ["x", "y", "i", "j", "state", "layers"]
+    assert json.loads(model_bytes(Receipt(input=1, epoch=2))) == {
+        "input": 1,
+        "epoch": 2,
+        "durable": True,
+        "duplicate": False,
+    }
+    assert json.loads(model_bytes(SAMPLES["ControlAnswer"])) == {"sequence": 4, "epoch": 2}
+    assert json.loads(encode_event(INTEGRATION)) == {
+        "kind": "integration",
+        "epoch": 2,
+        "input": 9,
+        "robot": "r1",
+        "poses": [[7, 0], [8, 3]],
+        "outcome": "integrated",
+        "accepted": 5,
+        "rejected": {"range": 2, "time": 1},
+        "sequence": 4,
+    }
+    assert json.loads(encode_event(CHECKPOINT)) == {"kind": "checkpoint", "epoch": 2, "sequence": 4, "digest": DIGEST}
+
+
+@few
+@given(st.floats())
+def test_a_layer_that_is_not_known_is_null(value: float) -> None:
+    entry = CellEntry(x=0.0, y=0.0, i=0, j=0, state=None, layers={"std_dev": value})
+    written = json.loads(model_bytes(entry))["layers"]["std_dev"]
+    assert written == (value if math.isfinite(value) else None)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_cells_state_is_finite(value: float) -> None:
+    with pytest.raises(ValidationError):
+        CellState(**{**STATE, "mean": value})
+
+
+def test_a_receipt_is_durable() -> None:
+    with pytest.raises(BadJson, match="durable"):
+        parse_model(Receipt, b'{"input": 1, "epoch": 1, "durable": false, "duplicate": false}')
+    with pytest.raises(BadJson, match="input"):
+        parse_model(Receipt, b'{"input": 0, "epoch": 1}')
+
+
+def test_the_reasons_of_the_contract() -> None:
+    assert " ".join(PointReason) == "not_finite no_return time no_pose self range ceiling covariance uncertain bounds"
+    assert set(CloudReason) == {
+        *("pose_gap", "pose_jump", "no_pose", "late", "too_many_tiles", "empty", "overload", "clock_reset")
+    }
+    assert set(PoseReason) == {"duplicate", "stale", "pose_frame", "bad_covariance"}
+    assert set(QueryCode) == {
+        *("bad_key", "bad_level", "unknown_parameter", "bad_parameter", "unknown_layer", "bad_bbox", "too_large"),
+        *("since_ahead", "busy", "shutting_down", "internal"),
+    }
+    refusals = {"bad_key", "bad_encoding", "bad_message", "too_large", "unknown_sensor", "unknown_robot", "busy"}
+    # `duplicate` counts published messages that the log has already; it is never answered.
+    assert set(Refusal) == refusals | {"log_unavailable", "shutting_down", "duplicate"}
+
+
+@pytest.mark.parametrize("event", EVENTS, ids=lambda event: event.kind)
+def test_events_there_and_back(event: object) -> None:
+    assert decode_event(encode_event(event)) == event
+
+
+@pytest.mark.parametrize("reason", CloudReason)
+def test_a_rejected_clouds_event(reason: CloudReason) -> None:
+    event = INTEGRATION.model_copy(update={"outcome": reason, "poses": [], "accepted": 0, "rejected": {}})
+    assert decode_event(encode_event(event)) == event
+
+
+@pytest.mark.parametrize("kind", ["forget", "edit", "remap", "", "Integration", "x" * 100])
+def test_a_reader_stops_at_a_kind_that_it_does_not_know(kind: str) -> None:
+    with pytest.raises(UnknownEventKind) as caught:
+        decode_event(json.dumps({"kind": kind, "epoch": 1}).encode())
+    assert caught.value.kind == kind
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"outcome": "lost"},
+        {"rejected": {"unlucky": 1}},
+        {"rejected": {"range": -1}},
+        {"input": 0},
+        {"poses": [[0, 0]]},
+        {"poses": [[1]]},
+        {"sequence": None},
+        {"accepted": 1.5},
+        {"more": 1},
+    ],
+)
+def test_events_that_cannot_be(change: dict) -> None:
+    values = {**json.loads(encode_event(INTEGRATION)), **change}
+    with pytest.raises(BadJson, match=next(iter(change))):
+        decode_event(json.dumps(values).encode())
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b"{}", b"[]", b'{"kind": 5}', b'{"kind": null}', b'{"kind": "checkpoint"}', b"\xff"]
+)
+def test_what_is_no_event(payload: bytes) -> None:
+    with pytest.raises(BadJson, match="expected an Event"):
+        decode_event(payload)
+
+
+def test_a_runs_metadata_there_and_back() -> None:
+    metadata = RunMetadata.model_validate(METADATA)
+    record = metadata.to_record()
+    assert all(isinstance(value, str) for value in record.values())
+    assert (record["run"], record["first_input"]) == (HEX, "1")
+    assert RunMetadata.from_record(record) == metadata
+    assert RunMetadata.from_record({**record, "later": "entry"}) == metadata
+    without = metadata.model_copy(update={"base_digest": ""})
+    assert RunMetadata.from_record(without.to_record()) == without
+
+
+@pytest.mark.parametrize("name", RunMetadata.model_fields)
+def test_metadata_that_lacks_an_entry_or_has_a_wrong_one(name: str) -> None:
+    record = RunMetadata.model_validate(METADATA).to_record()
+    with pytest.raises(BadJson, match=name):
+        RunMetadata.from_record({key: value for key, value in record.items() if key != name})
+    if name != "version":  # any text is one
+        with pytest.raises(BadJson, match=name):
+            RunMetadata.from_record({**record, name: "-1"})
