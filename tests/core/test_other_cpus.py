@@ -1,0 +1,67 @@
+"""One architecture, one digest: whatever the extensions of the CPU, whatever the C library chooses, any threads."""
+
+import json
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import digest_program
+import pytest
+
+PROGRAM = Path(digest_program.__file__)
+
+HIDDEN = "glibc.cpu.hwcaps=" + ",".join(
+    f"-{name}"
+    for name in ("AVX512F", "AVX512VL", "AVX512DQ", "AVX512BW", "AVX2", "AVX", "FMA", "FMA4", "ERMS", "BMI2", "SSE4_1")
+)
+"""What glibc chooses variants of its functions by. Other C libraries don't look at it."""
+
+GENERIC = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+"""Kernels for the architecture's least: on x86-64 no AVX and no FMA."""
+
+
+@pytest.fixture(scope="module")
+def here() -> dict[str, str]:
+    return digest_program.digests()
+
+
+def elsewhere(**environment: str) -> dict[str, object]:
+    """What the program says in a process of its own."""
+    made = subprocess.run(
+        [sys.executable, str(PROGRAM)],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+    assert made.returncode == 0, made.stderr
+    said: dict[str, object] = json.loads(made.stdout)
+    return said
+
+
+def test_the_ways_and_models_differ(here: dict[str, str]) -> None:
+    """The digests tell maps apart: twelve runs, six maps, each with one thread and with two."""
+    assert len(here) == 12
+    assert len(set(here.values())) == 6
+    for name, digest in here.items():
+        assert here[name[:-1] + "1"] == digest
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="hides extensions of x86-64")
+@pytest.mark.timeout(220)
+def test_without_avx_and_fma(here: dict[str, str], tmp_path: Path) -> None:
+    """Neither in our kernels, which are compiled anew, nor in the C library."""
+    said = elsewhere(NUMBA_CACHE_DIR=str(tmp_path), GLIBC_TUNABLES=HIDDEN, **GENERIC)
+    assert said["cpu"] == "generic"
+    assert "+avx" not in str(said["features"])
+    assert "+fma" not in str(said["features"])
+    assert said["digests"] == here
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="hides extensions of x86-64")
+def test_another_variant_of_the_c_library(here: dict[str, str]) -> None:
+    """The same compiled kernels over a C library that takes its plainest functions."""
+    assert elsewhere(GLIBC_TUNABLES=HIDDEN)["digests"] == here
