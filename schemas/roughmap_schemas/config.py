@@ -257,9 +257,10 @@ def _all_keys(value: dict[str, str]) -> dict[str, str]:
         Keys("site", full)
     except ConfigFault as error:
         raise ValueError(str(error)) from None
-    if len(set(full.values())) != len(full):
-        twice = next(text for text in full.values() if list(full.values()).count(text) > 1)
-        raise ValueError(f"keys: must differ; {twice!r} stands twice")
+    for name in value:
+        same = [other for other, text in full.items() if text == full[name] and other != name]
+        if same:
+            raise ValueError(f"keys.{name}: must differ from keys.{same[0]}; found {full[name]!r} in both")
     return full
 
 

@@ -1,0 +1,295 @@
+"""The settings: their defaults, ranges and what makes a map's identity."""
+
+import math
+import re
+
+import pytest
+
+from roughmap_schemas import Config, ConfigFault, SensorConfig, config_from, configuration_digest
+from roughmap_schemas.keys import TEMPLATES
+
+INF = math.inf
+
+DEFAULTS = {
+    "map": {
+        "name": "site",
+        "frame_id": "map",
+        "cell_size": 0.1,
+        "error_model": "cuboid",
+        "coverage": 2.0,
+        "min_radius": 1e-3,
+        "min_distance": 1e-3,
+        "min_share": 0.05,
+        "max_horizontal_radius": 0.5,
+        "height_tolerance": 0.05,
+        "bounds": None,
+        "levels": 8,
+        "memory_limit": 2 * 1024**3,
+        "max_new_tiles": 4096,
+        "max_tiles": 4_000_000,
+        "limits": {"slope": 0.5, "step": 0.2, "std_dev": 0.1, "confidence": 0.9},
+    },
+    "zenoh": {"mode": "peer", "listen": ["tcp/127.0.0.1:7447"], "connect": [], "scouting": False, "config_file": None},
+    "input": {
+        "max_wait": 0.5,
+        "max_pose_gap": 0.5,
+        "pose_history": 10.0,
+        "max_speed": 30.0,
+        "max_turn": 20.0,
+        "pose_sigma": (0.05, 0.05, 0.05, 0.01, 0.01, 0.01),
+        "placed_sigma": 0.02,
+        "max_points": 4_000_000,
+        "max_message": 64 * 1024**2,
+        "queue_limit": 64 * 1024**2,
+        "duplicates": 10_000,
+        "robots": [],
+    },
+    "sensors": {},
+    "robots": {},
+    "updates": {"layers": ["mean_height", "range", "confidence_factor"], "levels": [0], "update_hz": 2.0},
+    "query": {"workers": 4, "max_reply_tiles": 1024, "max_region_cells": 4_000_000},
+    "log": {
+        "directory": "log",
+        "compression": "none",
+        "flush_interval": 0.2,
+        "checkpoint_interval": 1.0,
+        "keep": None,
+        "updates": "records",
+        "queries": True,
+    },
+    "store": {"path": None},
+    "http": {"listen": "127.0.0.1:8080"},
+    "service": {"shutdown_timeout": 8.0, "alive_wait": 15.0},
+    "keys": dict(TEMPLATES),
+}
+"""The contract's table, by hand."""
+
+FREE = {
+    "query": {"max_running_cells", "queue_limit"},
+    "log": {"max_file_bytes", "max_file_age", "queue_limit"},
+    "store": {"snapshot_interval"},
+    "service": {"threads"},
+}
+"""Settings whose defaults, or which themselves, the contract leaves open."""
+
+SENSOR_DEFAULTS = {
+    "translation": (0, 0, 0),
+    "rotation": (0, 0, 0, 1),
+    "range_sigma": 0.02,
+    "range_sigma_per_m": 0,
+    "beam_sigma": 0,
+    "mount_sigma": (0,) * 6,
+    "min_range": 0,
+    "max_range": INF,
+    "ceiling": INF,
+    "ceiling_slope": 0,
+    "exclude": [],
+}
+
+
+def test_the_defaults_are_those_of_the_contract() -> None:
+    found = Config().model_dump()
+    assert list(found) == list(DEFAULTS)
+    for section, table in DEFAULTS.items():
+        assert {key: value for key, value in found[section].items() if key not in FREE.get(section, ())} == table
+        assert found[section].keys() - table.keys() == FREE.get(section, set())
+    assert SensorConfig(range_sigma=0.02).model_dump() == SENSOR_DEFAULTS
+
+
+def fault(values: dict) -> str:
+    with pytest.raises(ConfigFault) as caught:
+        config_from(values, "here.toml")
+    said = str(caught.value)
+    assert said.startswith("here.toml: ")
+    assert "\n" not in said
+    return said
+
+
+def lidar(**settings: object) -> dict:
+    return {"sensors": {"lidar": {"range_sigma": 0.02, **settings}}}
+
+
+NAN = math.nan
+BAD = [
+    # (section, key, value, what is said of it)
+    *(("map", "cell_size", value, "greater than") for value in (0, -0.1)),
+    *(("map", "cell_size", value, "") for value in (NAN, INF, "wide", True, [0.1], None, 1e-40)),
+    ("map", "name", "a b", r"A-Za-z0-9_.-"),
+    ("map", "name", "", "match"),
+    ("map", "name", 5, "string"),
+    ("map", "frame_id", "", "at least 1"),
+    ("map", "error_model", "sphere", "'point', 'cuboid' or 'ellipsoid'"),
+    ("map", "coverage", 0, "greater than"),
+    ("map", "min_share", 1.5, "less than or equal to 1"),
+    ("map", "min_share", -0.1, "greater than or equal to 0"),
+    ("map", "min_share", NAN, ""),
+    *(("map", "bounds", value, "") for value in ([0, 0, 1], [0, 0, INF, 1], "0,0,1,1", [0, 0, 1, NAN])),
+    *(("map", "bounds", value, "each minimum below its maximum") for value in ([1, 0, 0, 1], [0, 1, 1, 1])),
+    *(("map", "levels", value, "") for value in (0, 25, 1.5, True)),
+    *(("map", "memory_limit", value, "") for value in (0, -1, "2 GiBs", "lots", "", 1.5, True, "-1MiB")),
+    ("map", "max_tiles", 0, "greater than or equal to 1"),
+    ("map", "max_horizontal_radius", 30, "at most 256 map.cell_size"),
+    ("map", "limits", {"steep": 1}, "slope, step, std_dev, range, confidence"),
+    ("map", "limits", {"slope": 0}, "greater than 0"),
+    ("zenoh", "mode", "mesh", "'peer', 'client' or 'router'"),
+    ("zenoh", "listen", "tcp/127.0.0.1:7447", "list"),
+    ("zenoh", "listen", [""], "at least 1"),
+    ("input", "max_wait", -1, "greater than or equal to 0"),
+    ("input", "pose_sigma", [0.1] * 5, ""),
+    ("input", "pose_sigma", [0.1] * 5 + [-0.1], "greater than or equal to 0"),
+    ("input", "max_message", "64XB", "64MiB"),
+    ("input", "robots", ["a/b"], "match"),
+    ("input", "robots", ["r1", "r1"], "each value once"),
+    ("updates", "layers", ["height"], "mean_height"),
+    ("updates", "layers", [], "at least 1"),
+    ("updates", "levels", [8], "below map.levels, 0 to 7"),
+    ("updates", "levels", [-1], "greater than or equal to 0"),
+    ("updates", "update_hz", 0, "greater than 0"),
+    ("query", "workers", 0, "greater than or equal to 1"),
+    ("query", "max_reply_tiles", "many", "integer"),
+    ("log", "directory", "", "at least 1"),
+    ("log", "compression", "gzip", "'none', 'lz4' or 'zstd'"),
+    ("log", "updates", "all", "'records', 'grids' or 'none'"),
+    ("log", "queries", "perhaps", "boolean"),
+    *(("http", "listen", value, "host:port") for value in ("8080", ":80", "localhost", "localhost:http", "h:65536")),
+    ("service", "shutdown_timeout", 0, "greater than 0"),
+    ("keys", "tiles", "tiles/{z}/{x}", "{x}, {y}, {z} once"),
+    ("keys", "status", "maps/{map}/events", "must differ from keys.events"),
+]
+
+
+@pytest.mark.parametrize(("section", "key", "value", "words"), BAD, ids=lambda value: str(value)[:20])
+def test_values_out_of_range(section: str, key: str, value: object, words: str) -> None:
+    said = fault({section: {key: value}})
+    assert f" {section}.{key}" in said
+    assert words in said
+
+
+@pytest.mark.parametrize(
+    ("settings", "key"),
+    [
+        ({"range_sigma": -0.1}, "range_sigma"),
+        ({"range_sigma": NAN}, "range_sigma"),
+        ({"rotation": [0, 0, 0, 0]}, "rotation"),
+        ({"rotation": [0, 0, 1]}, "rotation"),
+        ({"translation": [0, 0, INF]}, "translation"),
+        ({"mount_sigma": [0, 0, 0, 0, 0, -1]}, "mount_sigma"),
+        ({"min_range": 2, "max_range": 1}, "min_range"),
+        ({"max_range": NAN}, "max_range"),
+        ({"max_range": 0}, "max_range"),
+        ({"ceiling": NAN}, "ceiling"),
+        ({"exclude": [[0, 0, 0, 1, 1, 0]]}, "exclude"),
+        ({"exclude": [[0, 0, 0, 1, 1]]}, "exclude"),
+    ],
+)
+def test_sensors_that_cannot_be(settings: dict, key: str) -> None:
+    said = fault(lidar(**settings))
+    assert "sensors.lidar" in said
+    assert key in said
+
+
+def test_a_sensor_must_say_how_far_it_is_to_be_believed() -> None:
+    assert fault({"sensors": {"lidar": {}}}) == "here.toml: sensors.lidar.range_sigma: is required"
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"mapp": {}}, "here.toml: mapp: unknown key (allowed: map, zenoh, "),
+        ({"map": {"cell_sise": 1}}, "here.toml: map.cell_sise: unknown key (allowed: name, frame_id, cell_size, "),
+        (lidar(range=1), "here.toml: sensors.lidar.range: unknown key (allowed: translation, "),
+        ({"robots": {"r1": {"sensor": {}}}}, "here.toml: robots.r1.sensor: unknown key (allowed: sensors)"),
+        ({"keys": {"tile": "a"}}, "here.toml: keys.tile: unknown (allowed: points, "),
+        ({"map": 5}, "here.toml: map: must be a table; found 5"),
+    ],
+)
+def test_unknown_keys(values: dict, words: str) -> None:
+    assert fault(values).startswith(words)
+
+
+def test_sizes() -> None:
+    sizes = {"64MiB": 64 << 20, "1.5GiB": 3 << 29, "100MB": 10**8, "5 kB": 5000, "7": 7, "12B": 12, "1tib": 1 << 40}
+    for text, size in sizes.items():
+        assert config_from({"map": {"memory_limit": text}}, "here").map.memory_limit == size
+
+
+def test_nothing_is_written_as_an_empty_text() -> None:
+    config = config_from(
+        {"map": {"bounds": ""}, "zenoh": {"listen": "", "connect": ""}, "store": {"path": ""}, "http": {"listen": ""}},
+        "here",
+    )
+    assert (config.map.bounds, config.store.path, config.http.listen) == (None, None, None)
+    assert (config.zenoh.listen, config.zenoh.connect) == ([], [])
+
+
+def test_keeping_a_part_of_the_log_needs_a_store() -> None:
+    assert fault({"log": {"keep": "1GiB"}}).startswith("here.toml: log.keep: ")
+    assert config_from({"log": {"keep": "1GiB"}, "store": {"path": "map.db"}}, "here").log.keep == 1 << 30
+
+
+def test_the_maps_own_frame_is_no_sensor() -> None:
+    assert "sensors.map" in fault({"sensors": {"map": {"range_sigma": 0.1}}})
+    assert "robots.r1.sensors.map" in fault({"robots": {"r1": {"sensors": {"map": {"range_sigma": 0.1}}}}})
+
+
+def test_a_robots_sensor_lies_over_the_general_one() -> None:
+    values = lidar(beam_sigma=0.001, translation=[0, 0, 1], rotation=[0, 0, 3, 4])
+    values["robots"] = {"r1": {"sensors": {"lidar": {"translation": [1, 0, 0]}, "arm": {"range_sigma": 0.5}}}}
+    config = config_from(values, "here")
+    general, own = config.sensor("r2", "lidar"), config.sensor("r1", "lidar")
+    assert general is not None
+    assert own == general.model_copy(update={"translation": (1.0, 0.0, 0.0)})
+    assert own.rotation == pytest.approx((0, 0, 0.6, 0.8))  # normalised
+    assert config.sensor("r2", "arm") is None
+    assert config.sensor("r1", "arm") == SensorConfig(range_sigma=0.5)
+    # Without the general one the robot's own must be whole.
+    assert "robots.r1.sensors.arm.range_sigma: is required" in fault({"robots": {"r1": {"sensors": {"arm": {}}}}})
+
+
+IDENTITY = {
+    "name": "other",
+    "frame_id": "world",
+    "cell_size": 0.2,
+    "error_model": "ellipsoid",
+    "coverage": 3.0,
+    "min_radius": 2e-3,
+    "min_distance": 2e-3,
+    "min_share": 0.0,
+    "max_horizontal_radius": 0.6,
+    "bounds": [0, 0, 1, 1],
+}
+OTHERS = [
+    *(("map", "height_tolerance", 0.1), ("map", "levels", 4), ("map", "memory_limit", "1GiB"), ("map", "limits", {})),
+    *(("map", "max_new_tiles", 5), ("map", "max_tiles", 9), ("input", "max_wait", 1), ("log", "compression", "zstd")),
+    *(("store", "path", "a.db"), ("keys", "status", "s"), ("sensors", "lidar", {"range_sigma": 1})),
+    ("input", "pose_sigma", [1] * 6),
+]
+
+
+def test_the_digest_changes_with_the_identity_and_with_nothing_else() -> None:
+    base = configuration_digest(Config())
+    assert re.fullmatch("[0-9a-f]{32}", base)
+    assert set(Config().identity()) == {*IDENTITY, "state_version"}
+    digests = {name: configuration_digest(config_from({"map": {name: value}}, "")) for name, value in IDENTITY.items()}
+    assert len({base, *digests.values()}) == len(IDENTITY) + 1
+    for section, key, value in OTHERS:
+        assert configuration_digest(config_from({section: {key: value}}, "")) == base, key
+    assert configuration_digest(config_from({"map": {"coverage": 2}}, "")) == base  # 2 is 2.0
+
+
+def test_the_public_settings_hide_secrets_and_read_back() -> None:
+    values = {
+        **lidar(exclude=[[0, 0, 0, 1, 1, 1]], rotation=[0, 0, 3, 4], ceiling=2),
+        "zenoh": {"listen": ["tls/0.0.0.0:7447#secret=1"], "connect": ["tcp/h:1?user=a;password=secret", "udp/h:2"]},
+        "map": {"bounds": [0, 0, 10, 10], "memory_limit": "1GiB"},
+        "robots": {"r1": {"sensors": {"lidar": {"beam_sigma": 1}}}},
+    }
+    config = config_from(values, "here")
+    public = config.public_dict()
+    assert "secret" not in str(public)
+    assert public["zenoh"]["connect"] == ["tcp/h:1#hidden", "udp/h:2"]
+    again = config_from(public, "there")
+    assert again.model_copy(update={"zenoh": config.zenoh}) == config
+    assert again.public_dict() == public
+    assert configuration_digest(again) == configuration_digest(config)
+    assert public["sensors"]["lidar"]["max_range"] == "inf"

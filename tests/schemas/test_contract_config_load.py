@@ -1,0 +1,182 @@
+"""Reading the settings: file, environment, command line, each over the one before, and faults that name all three."""
+
+from pathlib import Path
+
+import pytest
+
+from roughmap_schemas import ConfigFault, LoadedConfig, load_config
+
+TOML = """
+[map]
+name = "quarry"
+cell_size = 0.2
+limits = { slope = 0.4 }
+
+[zenoh]
+listen = ["tcp/127.0.0.1:0"]
+
+[sensors.lidar]
+range_sigma = 0.02
+max_range = inf
+
+[sensors."front camera"]
+range_sigma = 0.1
+max_range = 5.0
+
+[robots.Rover.sensors.lidar]
+translation = [0, 0, 0.5]
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "quarry.toml"
+    path.write_text(TOML, encoding="utf-8")
+    return path
+
+
+def fault(file: Path | None, overrides: dict | None = None, environ: dict | None = None) -> str:
+    with pytest.raises(ConfigFault) as caught:
+        load_config(file, overrides, environ)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_each_goes_over_the_one_before(file: Path) -> None:
+    environ = {"ROUGHMAP_MAP__NAME": "pit", "ROUGHMAP_MAP__COVERAGE": "3", "PATH": "/bin", "ROUGHMAPS": "1"}
+    loaded = load_config(file, {"map.coverage": "2.5", "log.directory": "elsewhere"}, environ)
+    config = loaded.config
+    assert (config.map.cell_size, config.map.name, config.map.coverage) == (0.2, "pit", 2.5)
+    assert (config.log.directory, config.map.min_share) == ("elsewhere", 0.05)
+    sources = {key: loaded.sources[key] for key in ("map.cell_size", "map.name", "map.coverage", "map.min_share")}
+    assert sources == {
+        "map.cell_size": f"file {file}",
+        "map.name": "environment ROUGHMAP_MAP__NAME",
+        "map.coverage": "command line",
+        "map.min_share": "default",
+    }
+    assert loaded.path == file
+    assert [loaded.given(key) for key in ("map.name", "map.min_share")] == [True, False]
+
+
+def test_without_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    loaded = load_config()
+    assert isinstance(loaded, LoadedConfig)
+    assert (loaded.path, loaded.config.map.name) == (None, "site")
+    assert set(loaded.sources.values()) == {"default"}
+
+
+def test_the_file_of_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("roughmap.toml").write_text('map.name = "here"', encoding="utf-8")
+    other = tmp_path / "other.toml"
+    other.write_text("", encoding="utf-8")
+    assert load_config().config.map.name == "here"
+    assert load_config(other).config.map.name == "site"
+
+
+def test_robots_and_sensors_of_a_file(file: Path) -> None:
+    loaded = load_config(file)
+    own = loaded.config.sensor("Rover", "lidar")
+    assert own is not None
+    assert (own.translation, own.range_sigma) == ((0.0, 0.0, 0.5), 0.02)
+    assert loaded.config.sensor("Rover", "front camera") is not None  # names as they stand, blanks and capitals too
+    assert loaded.sources["robots.Rover.sensors.lidar.translation"] == f"file {file}"
+    assert loaded.sources["robots.Rover.sensors.lidar.range_sigma"] == f"file {file}"
+    assert loaded.sources["robots.Rover.sensors.lidar.beam_sigma"] == "default"
+
+
+@pytest.mark.parametrize("section", ["sensors", "robots"])
+def test_robots_and_sensors_are_set_in_files_only(section: str) -> None:
+    name = f"ROUGHMAP_{section.upper()}__LIDAR__RANGE_SIGMA"
+    said = fault(None, environ={name: "0.1"})
+    assert said.startswith(f"environment {name}: {section}.lidar.range_sigma: {section} can be set in a file only")
+    assert "command line" in fault(None, {f"{section}.lidar.range_sigma": 0.1})
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "expected"),
+    [
+        ("ZENOH__LISTEN", '["tcp/127.0.0.1:0", "tcp/127.0.0.1:1"]', ["tcp/127.0.0.1:0", "tcp/127.0.0.1:1"]),
+        ("ZENOH__LISTEN", "", []),
+        ("ZENOH__SCOUTING", "true", True),
+        ("MAP__BOUNDS", "[0, -1, 2.5, 3]", (0.0, -1.0, 2.5, 3.0)),
+        ("MAP__BOUNDS", "", None),
+        ("MAP__NAME", "123", "123"),
+        ("MAP__MEMORY_LIMIT", "1MiB", 1 << 20),
+        ("UPDATES__LEVELS", "[0, 2]", [0, 2]),
+        ("INPUT__POSE_SIGMA", "[1, 1, 1, 0, 0, 0]", (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)),
+        ("KEYS__STATUS", "health/{map}", "health/{map}"),
+    ],
+)
+def test_variables(name: str, text: str, expected: object) -> None:
+    section, _, key = name.lower().partition("__")
+    config = load_config(None, environ={f"ROUGHMAP_{name}": text}).config
+    table = getattr(config, section)
+    assert (table[key] if section == "keys" else getattr(table, key)) == expected
+
+
+def test_one_limit_alone_over_those_below(file: Path) -> None:
+    """Over the file's where it has any, else over the defaults."""
+    environ = {"ROUGHMAP_MAP__LIMITS__STEP": "0.3"}
+    assert load_config(file, environ=environ).config.map.limits == {"slope": 0.4, "step": 0.3}
+    loaded = load_config(None, {"map.limits.slope": 0.1}, environ)
+    assert loaded.config.map.limits == {"slope": 0.1, "step": 0.3, "std_dev": 0.1, "confidence": 0.9}
+    assert load_config(file, {"map.limits": {"range": 1}}).config.map.limits == {"range": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("ROUGHMAP_MAP__CELL_SISE", "map.cell_sise: unknown key (allowed in map: name, frame_id, cell_size, "),
+        ("ROUGHMAP_MAPP__NAME", "mapp.name: unknown key (allowed: SECTION.KEY with map, zenoh, "),
+        ("ROUGHMAP_MAP", "map: unknown key"),
+        ("ROUGHMAP_", "unknown key"),
+        ("ROUGHMAP_MAP_NAME", "map_name: unknown key"),
+        ("ROUGHMAP_MAP__NAME__X", "map.name.x: unknown key"),
+        ("ROUGHMAP_KEYS__TILE", "keys.tile: unknown key"),
+    ],
+)
+def test_unknown_variables_and_keys(name: str, words: str) -> None:
+    said = fault(None, environ={name: "1"})
+    assert said.startswith(f"environment {name}: ")
+    assert words in said
+    dotted = name.removeprefix("ROUGHMAP_").lower().replace("__", ".")
+    assert fault(None, {dotted: "1"}).startswith("command line: ")
+
+
+def test_a_fault_names_whence_the_value_came(file: Path, tmp_path: Path) -> None:
+    environ = {"ROUGHMAP_MAP__LEVELS": "0"}
+    assert fault(file, environ=environ).startswith("environment ROUGHMAP_MAP__LEVELS: map.levels: must be greater")
+    assert fault(file, {"map.levels": 0}, {"ROUGHMAP_MAP__LEVELS": "3"}).startswith("command line: map.levels: must be")
+    for text, words in (
+        ("map.levels = 0", "map.levels: must be greater than or equal to 1; found 0"),
+        ("map.cell_sise = 1", "map.cell_sise: unknown key (allowed: name, "),
+        ("[sensors.lidar]", "sensors.lidar.range_sigma: is required"),
+        ("log.keep = 5", "log.keep: must be"),
+        ("map = 5", "map: must be a table"),
+        (
+            'map.error_model = "sphere"\nmap.levels = 0',
+            "map.error_model: must be 'point', 'cuboid' or 'ellipsoid'; found",
+        ),
+    ):
+        bad = tmp_path / "bad.toml"
+        bad.write_text(text, encoding="utf-8")
+        assert fault(bad).startswith(f"{bad}: {words}")
+    assert fault(bad).endswith("(and 1 more)")
+    assert fault(None, environ={"ROUGHMAP_ZENOH__LISTEN": "[tcp"}).endswith("zenoh.listen: must be JSON; found '[tcp'")
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    bad = tmp_path / "bad.toml"
+    assert fault(bad).startswith(f"{bad}: can't be read: No such file")
+    assert fault(tmp_path).startswith(f"{tmp_path}: can't be read: Is a directory")
+    for content, words in (
+        (b"[map\n", "is no TOML"),
+        (b"\xff\xfe", "is no UTF-8 text"),
+        (b"# " + b"x" * (1 << 20), "expected at most 1048576 bytes"),
+        (b"a = " + b"[" * 5000, "is "),
+    ):
+        bad.write_bytes(content)
+        assert fault(bad).startswith(f"{bad}: {words}")
