@@ -1,0 +1,51 @@
+"""Compiled kernels are kept on disk, and made anew when any source changed of which they may be made."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import roughmap
+
+PROGRAM = """
+import numpy as np
+from roughmap.trajectory import Trajectory, _half_angles
+turned = np.array([[0, 0, 0, 1], [0, 0, 1, 0]])  # by half a turn: the quaternions are a quarter apart
+angles = Trajectory([0, 1], np.zeros((2, 3)), turned, np.zeros((2, 6, 6))).arrays[4]
+print(angles[0], sum(_half_angles.stats.cache_hits.values()))
+"""
+
+
+def run(folder: Path) -> tuple[float, bool]:
+    """The angle of half a turn by the package in ``folder``, and whether the kernel came from disk."""
+    # The current folder stands before all others in the search for modules.
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    said, hits = done.stdout.split()
+    return float(said), int(hits) > 0
+
+
+def test_a_change_in_a_helper_of_another_file_counts(tmp_path: Path) -> None:
+    """`_half_angles` stands in trajectory.py, and the arc tangent that is compiled into it in poly.py."""
+    package = Path(roughmap.__file__).parent
+    shutil.copytree(package, tmp_path / "roughmap", ignore=shutil.ignore_patterns("__pycache__"))
+    angle, kept = run(tmp_path)
+    assert (round(angle, 12), kept) == (1.570796326795, False)
+    assert run(tmp_path) == (angle, True)
+    helper = tmp_path / "roughmap" / "poly.py"
+    text = helper.read_text()
+    changed = text.replace("0.25 * math.pi", "0.75 * math.pi")
+    assert changed != text
+    helper.write_text(changed)
+    angle, kept = run(tmp_path)
+    assert (round(angle, 12), kept) == (4.712388980385, False)  # three times as much
