@@ -1,7 +1,7 @@
 """The contract: messages, key expressions, codecs and configuration that the service and its clients share."""
 
 from roughmap_schemas.cloud import Cloud, decode_cloud, encode_cloud
-from roughmap_schemas.config import Config, SensorConfig, configuration_digest
+from roughmap_schemas.config import Config, configuration_digest
 from roughmap_schemas.config_load import LoadedConfig, config_from, load_config
 from roughmap_schemas.encodings import check_encoding, json_encoding
 from roughmap_schemas.events import (
@@ -50,6 +50,7 @@ from roughmap_schemas.reasons import (
     Refusal,
 )
 from roughmap_schemas.run_metadata import RunMetadata
+from roughmap_schemas.sections import SensorConfig
 from roughmap_schemas.selectors import CellsQuery, RegionQuery, TileQuery
 from roughmap_schemas.transform import Transform, decode_transform, encode_transform
 

@@ -94,6 +94,11 @@ def test_normalising_twice_is_normalising_once(rotation: tuple) -> None:
     assert float(np.linalg.norm(once)) == pytest.approx(1.0, abs=1e-15)
 
 
+def test_only_what_is_of_length_one_up_to_rounding_stays_as_it_is() -> None:
+    """Ten thousand roundings too long: no rounding any more."""
+    assert normalised((0.0, 0.0, 0.6 * (1 + 1e-12), 0.8 * (1 + 1e-12))) == pytest.approx((0, 0, 0.6, 0.8), abs=1e-15)
+
+
 def test_a_quaternion_that_is_not_unit_is_normalised() -> None:
     message = transform_message()
     message.rotation.z, message.rotation.w = 6.0, 8.0
