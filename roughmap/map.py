@@ -320,8 +320,7 @@ class RoughMap:
 
         A context manager, to be closed under the same lock as the map's methods. ValueError for an unknown level.
         """
-        if not 0 <= level < self.levels:
-            raise ValueError(f"level: expected an integer in [0, {self.levels}), got {level!r}")
+        self._check_level(level)
         return Frozen(
             self._table,
             self._cache,
@@ -341,11 +340,14 @@ class RoughMap:
         limits: Mapping[str, float] | None = None,
     ) -> Region:
         """Layers over the box (xmin, ymin, xmax, ymax) in metres, as `read_region` gives them."""
-        if not 0 <= level < self.levels:
-            raise ValueError(f"level: expected an integer in [0, {self.levels}), got {level!r}")
+        self._check_level(level)
         tiles = tile_box(cell_box(bbox, self.cell_size * (1 << level)))
         with self.freeze(level, tiles) as frozen:
             return read_region(frozen, bbox, layers, height_tolerance, limits)
+
+    def _check_level(self, level: int) -> None:
+        if not isinstance(level, int | np.integer) or not 0 <= level < self.levels:
+            raise ValueError(f"level: expected an integer in [0, {self.levels}), got {level!r}")
 
     def close(self) -> None:
         """End the threads; the map stays as it is."""
