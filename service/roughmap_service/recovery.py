@@ -82,7 +82,7 @@ def blank(config: Config) -> Recovered:
 
 def newest_run(directory: Path, run: str | None) -> list[RunFile]:
     """The files of ``run``, or of the newest run there; files that a kill left torn are repaired first."""
-    for path in sorted(directory.glob("*.mcap")):
+    for path in sorted(directory.glob("roughmap-*.mcap")):  # a foreign file is not ours to change
         repair(path)
     files = find_files([directory])
     if not files:

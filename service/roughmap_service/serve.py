@@ -55,7 +55,11 @@ CONTROL_SECONDS = 30.0
 
 
 class ServeError(Exception):
-    """The service can't start or go on; one line that names the cause and the mend."""
+    """The service can't start; one line that names the cause and the mend."""
+
+
+class ServiceFailed(Exception):
+    """The service can't go on; one line that names the cause."""
 
 
 def serve(
@@ -156,7 +160,7 @@ def _run(
         )  # fmt: skip
         while not stop.wait(0.5):
             if not sequencer.alive:
-                raise ServeError(f"the sequencer failed: {sequencer.failure}")
+                raise ServiceFailed(f"the sequencer failed: {sequencer.failure}")
         intake.close()
 
 

@@ -103,6 +103,11 @@ _LATE = (
     ("zenoh", "ZError", 1),
     ("roughmap_service.clouds_in", "CloudFileFault", 2),
     ("roughmap_service.store", "StoreError", 2),
+    ("roughmap_service.log_reader", "LogError", 2),
+    ("roughmap_service.apply", "RunError", 2),
+    ("roughmap_service.recovery", "IdentityError", 2),
+    ("roughmap_service.transport", "TransportError", 1),
+    ("roughmap_service.serve", "ServiceFailed", 1),
     ("roughmap_service.serve", "ServeError", 2),
 )
 """Module, error and exit code; only a command that needs the module has loaded it, so it isn't imported for this."""

@@ -1,0 +1,292 @@
+"""`roughmap serve` as a process of its own: started, fed, asked, ended, and its log read back.
+
+Every wait is bounded and on an event; the service listens on a port that the system chooses, on loopback.
+"""
+
+import contextlib
+import io
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import zenoh
+from mcap.exceptions import EndOfFile
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+from net import WAIT_S, Gathered, peer_config, wait_for
+
+from roughmap_client import RoughMapClient
+from roughmap_schemas import (
+    Event,
+    IntegrationEvent,
+    MapStatus,
+    Receipt,
+    decode_event,
+    encode_odometry,
+)
+from roughmap_service.cli.main import run
+
+READY_S = 200.0
+"""A first start compiles every kernel, on what may be a slow and busy machine."""
+
+STOP_S = 20.0
+"""Twice the default shutdown_timeout and some: past it the service hangs."""
+
+T0 = 1_700_000_000 * 10**9
+"""Where the stamps of tests begin, in ns: no wall clock is near, and none must be needed."""
+
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+"""The quaternion of no rotation."""
+
+PRECISE = np.eye(6) * 1e-6
+"""A pose covariance of a millimetre and a milliradian: cells are hit where they are aimed at."""
+
+COMMAND = (sys.executable, "-m", "roughmap_service.cli.main")
+
+
+def toml(sections: Mapping[str, Any], prefix: str = "") -> str:
+    """TOML of nested tables of strings, numbers, booleans and lists, whose forms JSON shares."""
+    plain = "".join(f"{k} = {json.dumps(v)}\n" for k, v in sections.items() if not isinstance(v, Mapping))
+    tables = "".join(toml(v, f"{prefix}{k}.") for k, v in sections.items() if isinstance(v, Mapping))
+    return (f"[{prefix[:-1]}]\n" if prefix and (plain or not sections) else "") + plain + tables
+
+
+def environment() -> dict[str, str]:
+    """This environment without settings that would reach into the service."""
+    return {name: value for name, value in os.environ.items() if not name.startswith("ROUGHMAP_")}
+
+
+def configuration(directory: Path, settings: Mapping[str, Any]) -> Path:
+    """A configuration file in ``directory``: the tests' defaults with ``settings`` over them, section by section."""
+    sections: dict[str, Any] = {
+        "zenoh": {"listen": ["tcp/127.0.0.1:0"]},
+        "log": {"directory": str(directory / "log")},
+        "service": {"alive_wait": 0.2},
+        "http": {"listen": ""},
+        "sensors": {"lidar": {"range_sigma": 0.01}},
+    }
+    for name, values in settings.items():
+        sections[name] = {**sections.get(name, {}), **values}
+    directory.mkdir(parents=True, exist_ok=True)
+    path = directory / "roughmap.toml"
+    path.write_text(toml(sections))
+    return path
+
+
+class Service:
+    """One `roughmap serve`; a context manager that kills it if it is still there at the end.
+
+    ``settings`` are sections over the tests' defaults: ``Service(tmp, map={"cell_size": 0.2})``.
+    """
+
+    def __init__(self, directory: Path, *arguments: str, **settings: Mapping[str, Any]) -> None:
+        self.directory = directory
+        self.log = directory / "log"
+        config = configuration(directory, settings)
+        self.process = subprocess.Popen(
+            [*COMMAND, "serve", "-c", str(config), *arguments],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment(),
+        )  # fmt: skip
+        self.out: list[str] = []
+        self.err: list[str] = []
+        self._told = threading.Event()
+        self._readers = [
+            threading.Thread(target=self._read, args=(self.process.stdout, self.out), daemon=True),
+            threading.Thread(target=self._read, args=(self.process.stderr, self.err), daemon=True),
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def _read(self, stream: Any, lines: list[str]) -> None:
+        for line in stream:
+            lines.append(line.rstrip("\n"))
+            if lines is self.out:
+                self._told.set()
+        if lines is self.out:
+            self._told.set()
+
+    def ready(self) -> dict[str, Any]:
+        """The ready line, once it came."""
+        wait_for(self._told, "the ready line", READY_S)
+        if not self.out:
+            self.finished()
+            raise AssertionError("the service ended before it was ready: " + "\n".join(self.err))
+        line: dict[str, Any] = json.loads(self.out[0])
+        return line
+
+    def finished(self, seconds: float = STOP_S) -> int:
+        """Wait for the end; the exit code, with all output read."""
+        code = self.process.wait(seconds)
+        for reader in self._readers:
+            reader.join(WAIT_S)
+        return code
+
+    def stop(self, number: signal.Signals = signal.SIGTERM) -> int:
+        """Ask it to end, and wait for that; the exit code."""
+        self.process.send_signal(number)
+        return self.finished()
+
+    def kill(self) -> None:
+        """End it as a power cut would, as far as a process can be."""
+        self.process.kill()
+        self.finished()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.process.poll() is None:
+            self.kill()
+        assert self.process.stdout is not None
+        assert self.process.stderr is not None
+        self.process.stdout.close()
+        self.process.stderr.close()
+
+
+class Feed:
+    """One session with a service: publishes, hands in, asks, and gathers the events that the service publishes."""
+
+    def __init__(self, session: zenoh.Session, map_name: str = "site") -> None:
+        self.session = session
+        self.map = map_name
+        self.client = RoughMapClient(map_name, session=session, timeout=WAIT_S)
+        self.events: Gathered[Event] = Gathered()
+        self._subscriber = session.declare_subscriber(
+            f"maps/{map_name}/events", lambda sample: self.events(decode_event(sample.payload.to_bytes()))
+        )
+        self._settle = encode_odometry(T0, "map", (0, 0, 0), LEVEL)
+        # The first answer shows that the service's declarations are here, so that nothing published now goes nowhere.
+        self.ingest("odometry", "settle", self._settle)
+
+    def put(self, kind: str, robot: str, payload: bytes, **options: Any) -> None:
+        """Publish a message; nothing is dropped on this side."""
+        options.setdefault("congestion_control", zenoh.CongestionControl.BLOCK)
+        self.session.put(f"robots/{robot}/{kind}", payload, **options)
+
+    def ingest(self, kind: str, robot: str, payload: bytes) -> Receipt:
+        """Hand a message in and wait for its receipt."""
+        return self.client.ingest(payload, robot, kind=kind)  # type: ignore[arg-type]
+
+    def pose(self, robot: str, stamp_ns: int, position: Any = (0.0, 0.0, 0.0), rotation: Any = LEVEL) -> None:
+        """Publish a precise pose of the robot in the map's frame."""
+        self.put("odometry", robot, encode_odometry(stamp_ns, "map", position, rotation, PRECISE))
+
+    def settle(self) -> MapStatus:
+        """The status once all that was sent before is taken up, and all that was decided is on the disk.
+
+        One link delivers in order, and the sequencer takes in order: the receipt of a message that is sent after the
+        rest (a duplicate, which is neither logged nor counted) comes after them.
+        """
+        assert self.ingest("odometry", "settle", self._settle).duplicate
+        return self.client.status()
+
+    def decided(self, number: int) -> IntegrationEvent:
+        """The event of the cloud with that input number, once it is published."""
+
+        def found(events: list[Event]) -> list[IntegrationEvent]:
+            return [e for e in events if isinstance(e, IntegrationEvent) and e.input == number]
+
+        return found(self.events.wait(lambda events: bool(found(events)), f"the event of input {number}"))[0]
+
+    def count(self, outcome: str) -> int:
+        """How many clouds had this outcome so far."""
+        return sum(isinstance(e, IntegrationEvent) and e.outcome == outcome for e in self.events.items)
+
+    def wait_integrations(self, number: int) -> list[IntegrationEvent]:
+        """The clouds' events, once so many came."""
+
+        def found(events: list[Event]) -> list[IntegrationEvent]:
+            return [e for e in events if isinstance(e, IntegrationEvent)]
+
+        return found(self.events.wait(lambda events: len(found(events)) >= number, f"{number} decided clouds"))
+
+
+@contextmanager
+def connected(service: Service, map_name: str = "site") -> Iterator[Feed]:
+    """A session with a service, once it is ready."""
+    endpoints = service.ready()["endpoints"]
+    with zenoh.open(peer_config(connect=endpoints)) as session:
+        yield Feed(session, map_name)
+
+
+@contextmanager
+def running(directory: Path, **settings: Mapping[str, Any]) -> Iterator[tuple[Service, Feed]]:
+    """A service and a session with it. At the end it must stop in order, and its log must replay as equal."""
+    with ExitStack() as stack:
+        service = stack.enter_context(Service(directory, **settings))
+        feed = stack.enter_context(connected(service))
+        yield service, feed
+        assert service.stop() == 0, service.err
+        assert len(service.out) == 1, "stdout is for the ready line alone"
+        code, verdict = replay(service.log)
+        assert (code, verdict.split(":")[0]) == (0, "equal"), verdict
+
+
+def replay(*arguments: Path | str) -> tuple[int, str]:
+    """`roughmap replay` in this process: exit code, and the last line it said."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = run(["replay", *map(str, arguments)])
+    return code, (out.getvalue().strip() or err.getvalue().strip()).splitlines()[-1]
+
+
+@dataclass(frozen=True)
+class Logged:
+    """A message as it lies in the log."""
+
+    topic: str
+    data: bytes
+    sequence: int
+    log_time: int
+    publish_time: int
+
+    @property
+    def event(self) -> Event:
+        return decode_event(self.data)
+
+
+def read_log(directory: Path) -> list[Logged]:
+    """All messages of a folder's files in file order, by mcap's own reader; a file still written to as far as it is."""
+    found = []
+    for path in sorted(directory.glob("*.mcap")):
+        topics: dict[int, str] = {}
+        with path.open("rb") as stream:
+            try:
+                for record in StreamReader(stream).records:
+                    if isinstance(record, Channel):
+                        topics[record.id] = record.topic
+                    elif isinstance(record, Message):
+                        topic = topics[record.channel_id]
+                        found.append(Logged(topic, record.data, record.sequence, record.log_time, record.publish_time))
+            except EndOfFile:
+                continue
+    return found
+
+
+def events_in(directory: Path) -> list[Event]:
+    """The log's events in order."""
+    return [message.event for message in read_log(directory) if message.topic.endswith("/events")]
+
+
+def inputs_in(directory: Path) -> list[Logged]:
+    """The log's inputs in order; the first has number 1."""
+    return [message for message in read_log(directory) if message.topic.startswith("robots/")]
+
+
+def copy_log(directory: Path, to: Path) -> Path:
+    """A copy of a log as it lies there now."""
+    shutil.copytree(directory, to, ignore=shutil.ignore_patterns(".lock"))
+    return to
