@@ -20,19 +20,22 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+import pytest
 import zenoh
 from mcap.exceptions import EndOfFile
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from net import WAIT_S, Gathered, peer_config, wait_for
 
-from roughmap_client import RoughMapClient
+from roughmap_client import QueryRefused, RoughMapClient
+from roughmap_client.asking import ask
 from roughmap_schemas import (
     Event,
     IntegrationEvent,
     MapStatus,
     Receipt,
     decode_event,
+    encode_cloud,
     encode_odometry,
 )
 from roughmap_service.cli.main import run
@@ -51,6 +54,9 @@ LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 PRECISE = np.eye(6) * 1e-6
 """A pose covariance of a millimetre and a milliradian: cells are hit where they are aimed at."""
+
+GROUND = np.array([[1.0, 0.0, -0.5], [1.5, 0.5, -0.4], [2.0, -0.5, -0.6], [1.2, 0.3, -0.5]])
+"""A small cloud in front of a sensor."""
 
 COMMAND = (sys.executable, "-m", "roughmap_service.cli.main")
 
@@ -180,6 +186,17 @@ class Feed:
         """Hand a message in and wait for its receipt."""
         return self.client.ingest(payload, robot, kind=kind)  # type: ignore[arg-type]
 
+    def refused(self, kind: str, robot: str, payload: bytes | None, encoding: str | None = None) -> str:
+        """Hand a message in that must not be taken; the code of the one error reply."""
+        key = f"maps/{self.map}/ingest/{robot}/{kind}"
+        with pytest.raises(QueryRefused) as refusal:
+            ask(self.session, key, timeout=WAIT_S, payload=payload, encoding=encoding).single()
+        return refusal.value.code
+
+    def cloud(self, robot: str, stamp_ns: int, points: Any = GROUND, frame: str = "lidar", **more: Any) -> int:
+        """Hand a cloud in; its input number."""
+        return self.ingest("points", robot, encode_cloud(points, stamp_ns, frame, **more)).input
+
     def pose(self, robot: str, stamp_ns: int, position: Any = (0.0, 0.0, 0.0), rotation: Any = LEVEL) -> None:
         """Publish a precise pose of the robot in the map's frame."""
         self.put("odometry", robot, encode_odometry(stamp_ns, "map", position, rotation, PRECISE))
@@ -200,10 +217,6 @@ class Feed:
             return [e for e in events if isinstance(e, IntegrationEvent) and e.input == number]
 
         return found(self.events.wait(lambda events: bool(found(events)), f"the event of input {number}"))[0]
-
-    def count(self, outcome: str) -> int:
-        """How many clouds had this outcome so far."""
-        return sum(isinstance(e, IntegrationEvent) and e.outcome == outcome for e in self.events.items)
 
     def wait_integrations(self, number: int) -> list[IntegrationEvent]:
         """The clouds' events, once so many came."""
