@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +33,7 @@ from roughmap_schemas import (
     Event,
     IntegrationEvent,
     MapStatus,
+    QueryError,
     Receipt,
     decode_event,
     encode_cloud,
@@ -192,6 +193,20 @@ class Feed:
         with pytest.raises(QueryRefused) as refusal:
             ask(self.session, key, timeout=WAIT_S, payload=payload, encoding=encoding).single()
         return refusal.value.code
+
+    def send(self, kind: str, robot: str, payload: bytes, told: Callable[[Receipt | str], None]) -> None:
+        """Hand a message in without waiting: ``told`` gets the receipt, or the code of a refusal, if either comes."""
+
+        def reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                told(Receipt.model_validate_json(reply.ok.payload.to_bytes()))
+            elif reply.replier_id is not None and reply.err is not None:
+                told(QueryError.model_validate_json(reply.err.payload.to_bytes()).code)
+
+        self.session.get(
+            f"maps/{self.map}/ingest/{robot}/{kind}", reply, payload=payload, timeout=WAIT_S,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )  # fmt: skip
 
     def cloud(self, robot: str, stamp_ns: int, points: Any = GROUND, frame: str = "lidar", **more: Any) -> int:
         """Hand a cloud in; its input number."""

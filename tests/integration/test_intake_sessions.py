@@ -1,0 +1,131 @@
+"""What is let in from real sessions when nobody takes it up: what is dropped, what is refused, what never is."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import pytest
+import zenoh
+from net import open_pair, wait_for
+
+from roughmap_client import QueryRefused
+from roughmap_client.asking import ask
+from roughmap_schemas import Keys
+from roughmap_service.counters import Counters
+from roughmap_service.ingest import Replies
+from roughmap_service.intake import Intake, ZenohInputs
+
+LIMIT = 1000
+"""Bytes of clouds that may be queued here."""
+
+
+@dataclass
+class Door:
+    """An intake that nobody takes from, and a client's session."""
+
+    client: zenoh.Session
+    intake: Intake
+    counters: Counters
+
+    def put(self, kind: str, robot: str, size: int, mark: int = 0) -> None:
+        """Publish ``size`` bytes that begin with ``mark``: what they say is looked at later, not here."""
+        payload = bytes([mark]) + bytes(size - 1)
+        self.client.put(f"robots/{robot}/{kind}", payload, congestion_control=zenoh.CongestionControl.BLOCK)
+
+    def refused(self, key: str, size: int) -> str:
+        """The code with which a request is refused; all that was published before is taken in by then."""
+        with pytest.raises(QueryRefused) as refusal:
+            ask(self.client, key, timeout=30.0, payload=bytes(size)).single()
+        return refusal.value.code
+
+    def settle(self) -> None:
+        assert self.refused("maps/site/ingest/no!name/odometry", 1) == "bad_key"
+
+    def taken(self) -> list[tuple[str, str, int]]:
+        """(kind, robot, mark) of what is queued."""
+        messages, _ = self.intake.take(0.0)
+        return [(message.kind.value, message.robot, message.payload[0]) for message in messages]
+
+
+@pytest.fixture
+def door() -> Iterator[Door]:
+    with ExitStack() as stack:
+        server, client = stack.enter_context(open_pair())
+        counters, keys = Counters(), Keys("site")
+        intake = Intake(LIMIT, counters)
+        replies = stack.enter_context(Replies())
+        stack.enter_context(ZenohInputs(server, keys, intake, replies, 2 * LIMIT, counters))
+        # The queryables are declared last: where one is known, so is all the rest.
+        known = threading.Event()
+        querier = client.declare_querier("maps/site/ingest/a/transform")
+        querier.declare_matching_listener(lambda status: known.set() if status.matching else None)
+        if not querier.matching_status.matching:
+            wait_for(known, "the declarations")
+        yield Door(client, intake, counters)
+
+
+def test_the_oldest_cloud_of_the_robot_that_holds_most_goes(door: Door) -> None:
+    for robot, size, mark in (("a", 300, 1), ("b", 400, 2), ("a", 300, 3), ("b", 200, 4)):
+        door.put("points", robot, size, mark)
+    door.settle()
+    assert door.taken() == [("points", "b", 2), ("points", "a", 3), ("points", "b", 4)]
+    assert door.counters.snapshot().refused["busy"] == 1
+
+
+def test_a_pose_never_goes_for_a_clouds_sake(door: Door) -> None:
+    door.put("odometry", "a", 900, 1)
+    for mark in range(2, 9):
+        door.put("points", "a", 900, mark)
+    door.put("transform", "a", 900, 9)
+    door.settle()
+    assert door.taken() == [("odometry", "a", 1), ("points", "a", 8), ("transform", "a", 9)]
+    assert door.counters.snapshot().refused["busy"] == 6
+
+
+def test_a_request_is_told_busy_and_drops_nobody(door: Door) -> None:
+    door.put("points", "a", 900, 1)
+    assert door.refused("maps/site/ingest/b/points", 900) == "busy"
+    assert door.taken() == [("points", "a", 1)]
+    assert door.counters.snapshot().refused["busy"] == 1
+
+
+def test_taking_makes_room(door: Door) -> None:
+    for mark in (1, 2):
+        door.put("points", "a", 900, mark)
+        door.settle()
+        assert door.taken() == [("points", "a", mark)]
+    assert door.counters.snapshot().refused["busy"] == 0
+
+
+def test_after_the_end_everything_is_refused(door: Door) -> None:
+    door.put("points", "a", 10, 1)
+    door.settle()
+    door.intake.close()
+    for kind in ("points", "odometry", "transform"):
+        assert door.refused(f"maps/site/ingest/a/{kind}", 10) == "shutting_down"
+        door.put(kind, "a", 10)
+    door.settle()
+    assert door.counters.snapshot().refused["shutting_down"] == 6
+    assert door.taken() == [("points", "a", 1)], "what was let in before is still there"
+
+
+def test_too_large_a_message_is_not_even_copied(door: Door) -> None:
+    assert door.refused("maps/site/ingest/a/odometry", 2 * LIMIT + 1) == "too_large"
+    door.put("odometry", "a", 2 * LIMIT + 1)
+    door.settle()
+    assert door.counters.snapshot().refused["too_large"] == 2
+    assert door.taken() == []
+
+
+def test_missing_message_numbers_are_counted_by_robot_and_kind(door: Door) -> None:
+    """Clouds and poses are numbered apart; a number that goes back is a publisher that began anew."""
+    for kind, robot, number in (
+        ("points", "a", 7), ("points", "a", 8), ("odometry", "a", 1), ("points", "a", 11), ("points", "b", 3),
+        ("points", "b", 0), ("points", "b", 2), ("odometry", "a", 2),
+    ):  # fmt: skip
+        door.client.put(f"robots/{robot}/{kind}", b"x", attachment=number.to_bytes(8, "little"))
+    door.client.put("robots/a/points", b"x", attachment=b"short")
+    door.client.put("robots/a/points", b"x")
+    door.settle()
+    assert dict(door.counters.snapshot().gaps) == {"a": 2, "b": 1}
