@@ -90,7 +90,7 @@ class Sequencer:
         self._take_snapshot = take_snapshot
         self._before_reset = before_reset
         self._arrived: dict[int, float] = {}
-        self._checkpoint_sequence = state.map.sequence
+        self._checkpoint_sequence = 0
         self.newest_stamp_ns = state.map.newest_updated * NS
         self._next_checkpoint = time.monotonic() + intervals.checkpoint
         self._next_snapshot = time.monotonic() + intervals.snapshot
@@ -157,6 +157,7 @@ class Sequencer:
 
     def _run(self) -> None:
         try:
+            self.checkpoint()  # what was recovered: the last one before a kill may lie behind it, or never came
             while not self._stopping.is_set():
                 self._turn(self._wait_seconds())
             while self._turn(0.0):

@@ -106,6 +106,7 @@ _LATE = (
     ("roughmap_service.log_reader", "LogError", 2),
     ("roughmap_service.apply", "RunError", 2),
     ("roughmap_service.recovery", "IdentityError", 2),
+    ("roughmap_service.replay", "ReplayError", 2),
     ("roughmap_service.transport", "TransportError", 1),
     ("roughmap_service.serve", "ServiceFailed", 1),
     ("roughmap_service.serve", "ServeError", 2),
