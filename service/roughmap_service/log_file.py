@@ -22,6 +22,8 @@ from pydantic import TypeAdapter
 from roughmap_schemas import EVENT, QueryRecord, RunMetadata, UpdateRecord
 from roughmap_schemas.run_metadata import RECORD_NAME
 
+from .log_schema import plain_schema
+
 CHUNK_BYTES = 64 * 1024
 """Small chunks lose little to a kill; a scan is larger and has a chunk of its own."""
 
@@ -162,7 +164,7 @@ class LogFile:
                 data = file_descriptor_set(PROTOBUF[kind].file)
             else:
                 name, adapter = JSON[kind]
-                encoding, data = "jsonschema", json.dumps(adapter.json_schema(mode="serialization")).encode()
+                encoding, data = "jsonschema", json.dumps(plain_schema(adapter, name)).encode()
             self._schemas[kind] = self._writer.register_schema(name, encoding, data)
         return self._schemas[kind]
 
