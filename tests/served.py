@@ -1,0 +1,116 @@
+"""A map behind its queryables on real sessions of one process, for tests of what is answered and of the client."""
+
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import zenoh
+from net import open_pair
+
+from roughmap import RoughMap
+from roughmap_schemas.config import Config, configuration_digest
+from roughmap_schemas.keys import Keys
+from roughmap_schemas.messages import MapStatus, QueryRecord
+from roughmap_service.answers import Answers
+from roughmap_service.counters import Counters
+from roughmap_service.emptied import Emptied
+from roughmap_service.status import Progress, Status
+from roughmap_service.tile_reply import Identity
+from roughmap_service.view import View
+
+T0 = 1_700_000_000 * 10**9
+INSTANCE = "0123456789abcdef" * 2
+RUN = "fedcba9876543210" * 2
+S = np.diag([0.02, 0.02, 0.02]) ** 2
+"""Covariance of all points here: with coverage 2 a body of 8 cm, so that points reach over cells and tiles."""
+
+
+def some_points(number: int = 1500, seed: int = 7, centre: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """(number, 3) on rough ground within 8 m of a place: around the origin tiles -2 to 1 along both axes."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(-8.0, 8.0, (2, number))
+    z = 0.3 * np.sin(x) + 0.1 * y + rng.normal(0.0, 0.02, number)
+    return np.column_stack((x + centre[0], y + centre[1], z))
+
+
+def filled(config: Config) -> RoughMap:
+    """Five scans, each in another place, so that tiles differ in sequence and stamps."""
+    rough_map = RoughMap(
+        cell_size=config.map.cell_size, error_model=config.map.error_model, levels=config.map.levels, threads=1
+    )
+    for number, centre in enumerate([(0.0, 0.0), (12.0, 0.0), (-40.0, 7.0), (12.0, 12.0), (0.0, -12.0)]):
+        rough_map.add(some_points(1500, number, centre), S, T0 + number * 10**9)
+    return rough_map
+
+
+@dataclass
+class Served:
+    """A filled map, answered for by `server`; `asker` is a session joined to it over loopback.
+
+    `settings` are sections of the configuration; `actions` what `control` carries out.
+    """
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    actions: Mapping[str, Callable[[], tuple[int, int]]] | None = None
+    sessions: tuple[zenoh.Session, zenoh.Session] | None = None
+    instance: str = INSTANCE
+    epoch: int = 5
+    status: Callable[[], MapStatus] | None = None
+
+    def __post_init__(self) -> None:
+        self.config = Config.model_validate({"map": {"name": "site"}, **self.settings})
+        self.map = filled(self.config)
+        self.view = View(self.map, self.epoch)
+        self.keys = Keys(self.config.map.name, self.config.keys)
+        self.emptied = Emptied()
+        self.counters = Counters()
+        self.progress = Progress()
+        self.digest = configuration_digest(self.config)
+        self.identity = Identity(self.config.map.name, RUN, self.instance, self.digest, self.config.map.frame_id)
+        self.records: list[QueryRecord] = []
+        self.recorded = threading.Condition()
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        self.server, self.asker = self.sessions or self._stack.enter_context(open_pair())
+        self._stack.callback(self.map.close)
+        self._stack.callback(self.view.wake)
+        if self.status is None:
+            self.status = Status(
+                self.view, self.counters, self.config, self.identity, "9.8.7", lambda: self.progress
+            )  # fmt: skip
+        self.answers = self._stack.enter_context(
+            Answers(
+                self.server, self.view, self.keys, self.config, self.identity, status=self.status,
+                control=self.actions or {"reset": self.reset}, record_query=self._record, emptied=self.emptied,
+            )
+        )  # fmt: skip
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def _record(self, record: QueryRecord) -> None:
+        with self.recorded:
+            self.records.append(record)
+            self.recorded.notify_all()
+
+    def add(self, points: np.ndarray, stamp_ns: int = T0 + 100 * 10**9) -> int:
+        """One more scan; the sequence that it makes."""
+        with self.view.change() as rough_map:
+            rough_map.add(points, S, stamp_ns)
+            return rough_map.sequence
+
+    def reset(self) -> tuple[int, int]:
+        """As the sequencer does it."""
+        with self.view.change() as rough_map:
+            self.emptied.note(rough_map)
+            rough_map.reset()
+            self.view.epoch += 1
+            return rough_map.sequence, self.view.epoch
