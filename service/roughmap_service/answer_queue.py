@@ -1,6 +1,8 @@
 """Queries that wait for their turn: bounded together, small ones before large ones, none starved."""
 
 import bisect
+import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -10,6 +12,8 @@ from typing import Self
 
 from roughmap_schemas.faults import QueryFault
 from roughmap_schemas.reasons import QueryCode
+
+LOG = logging.getLogger(__name__)
 
 SMALL_CELLS = 16 * 4096
 """A query of at most so many cells (16 tiles: what a planner asks around its robot) is small. One worker serves only
@@ -44,6 +48,7 @@ class AnswerQueue:
         self._number = 0
         self._running_cells = 0
         self._closed = False
+        self._end = math.inf
         # Daemons: one that is stuck in a reply to a client that stopped reading must not hold up the process's end.
         self._threads = [
             threading.Thread(target=self._work, args=(n == 0 and workers > 1,), name=f"{name}-{n}", daemon=True)
@@ -72,17 +77,20 @@ class AnswerQueue:
             self._condition.notify_all()
 
     def close(self, timeout: float = 2.0) -> None:
-        """Refuses what waits (``shutting_down``) and waits at most ``timeout`` seconds for what runs."""
+        """Refuses what waits (``shutting_down``) and waits at most ``timeout`` seconds for what runs.
+
+        A second call waits for no longer than the first.
+        """
         with self._condition:
             self._closed = True
+            self._end = min(self._end, time.monotonic() + timeout)
             waiting, self._waiting = self._waiting, []
             self._condition.notify_all()
         for job in waiting:
             job.refuse(QueryFault(QueryCode.SHUTTING_DOWN, "the service is shutting down"))
-        deadline = time.monotonic() + timeout
         for thread in self._threads:
             if thread.is_alive():
-                thread.join(max(0.0, deadline - time.monotonic()))
+                thread.join(max(0.0, self._end - time.monotonic()))
 
     def _take(self, small_only: bool) -> _Waiting | None:
         """The first job in rank that may run now; called with the condition held."""
@@ -108,6 +116,8 @@ class AnswerQueue:
                 self._running_cells += job.cells
             try:
                 job.run()
+            except Exception:  # the thread must outlive it: with each one lost, fewer would answer until none did
+                LOG.exception("an answer failed beyond its own care")
             finally:
                 with self._condition:
                     self._running_cells -= job.cells

@@ -20,6 +20,7 @@ from roughmap_service.answer_queue import AnswerQueue
 from roughmap_service.cell_answers import plan_cells
 from roughmap_service.emptied import Emptied
 from roughmap_service.reading import Outcome, Plan, Reader, Send
+from roughmap_service.sequencer import ShuttingDown
 from roughmap_service.tile_reply import Identity
 from roughmap_service.view import View
 
@@ -29,6 +30,7 @@ ERROR_ENCODING = json_encoding("QueryError")
 
 CODES: tuple[tuple[type[Exception], QueryCode], ...] = (
     (MemoryError, QueryCode.TOO_LARGE),
+    (ShuttingDown, QueryCode.SHUTTING_DOWN),
     (Exception, QueryCode.INTERNAL),
 )
 """What an error that is no `Fault` means to the asker; the first that fits."""

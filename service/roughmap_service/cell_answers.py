@@ -45,7 +45,8 @@ def _answer(reader: Reader, asked: CellsQuery, cells: Cells, send: Send) -> Outc
     limits = reader.limits if asked.limits is None else asked.limits
     tiles = cells >> TILE_SHIFT
     low, high = (tiles.min(axis=0), tiles.max(axis=0)) if len(tiles) else (np.zeros(2, int), np.zeros(2, int))
-    with reader.frozen([(0, (int(low[0]), int(low[1]), int(high[0]), int(high[1])))]) as ((frozen,), epoch, sequence):
+    box = int(low[0]), int(low[1]), int(high[0]), int(high[1])
+    with reader.frozen([(0, box)]) as ((frozen,), epoch, sequence, _):
         entries: list[CellEntry | None] = [None] * len(cells)
         distinct, which = np.unique(tiles, axis=0, return_inverse=True)
         order = np.argsort(which.ravel(), kind="stable")

@@ -1,6 +1,6 @@
 """The tiles that a reset emptied, so that readers of the map before it learn which of theirs are gone."""
 
-import threading
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -10,33 +10,36 @@ from roughmap import RoughMap
 Tiles = npt.NDArray[np.int32]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Gone:
+    """What resets had emptied up to one moment."""
+
+    level0: Tiles
+    sequence: int
+    """The map's sequence that the last reset made; 0 without one."""
+
+    def tiles(self, level: int, present: Tiles) -> Tiles:
+        """(T, 2) tiles of a level that were known before a reset and are not among ``present``, ascending by (x, y)."""
+        if not len(self.level0):
+            return self.level0
+        return without(np.unique(self.level0 >> level, axis=0), present)
+
+
 class Emptied:
     """Level-0 tiles known before a reset, at most 8 bytes each; kept for the life of the process.
 
-    ``note`` is called with the map held, right before `RoughMap.reset`.
+    ``note`` is called with the map held, right before `RoughMap.reset`; ``now`` is read with the map held too, so that
+    it is of the same moment as a reading of the map.
     """
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._tiles: Tiles = np.empty((0, 2), np.int32)
-        self.sequence = 0
-        """The map's sequence that the last reset made."""
+        self.now = Gone(np.empty((0, 2), np.int32), 0)
 
     def note(self, rough_map: RoughMap) -> None:
         """Remember the tiles that the map holds now, beside those of earlier resets."""
         with rough_map.freeze(0) as frozen:
             tiles = np.array(frozen.tiles, np.int32, copy=True).reshape(-1, 2)
-        with self._lock:
-            self.sequence = rough_map.sequence + 1
-            self._tiles = np.unique(np.concatenate([self._tiles, tiles]), axis=0)
-
-    def tiles(self, level: int, present: Tiles) -> Tiles:
-        """(T, 2) tiles of a level that were known before a reset and are not among ``present``, ascending by (x, y)."""
-        with self._lock:
-            tiles = self._tiles
-        if not len(tiles):
-            return tiles
-        return without(np.unique(tiles >> level, axis=0), present)
+        self.now = Gone(np.unique(np.concatenate([self.now.level0, tiles]), axis=0), rough_map.sequence + 1)
 
 
 def without(tiles: Tiles, others: Tiles) -> Tiles:

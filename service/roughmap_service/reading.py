@@ -15,14 +15,14 @@ import zenoh
 
 from roughmap.cell import TILE_CELLS
 from roughmap.frozen import Frozen
-from roughmap.region import CellBox, cell_box, tile_box
+from roughmap.region import MAX_CELLS, CellBox, cell_box, tile_box
 from roughmap_schemas.config import Config
 from roughmap_schemas.encodings import GRID
 from roughmap_schemas.faults import QueryFault
 from roughmap_schemas.keys import Keys, Selected
 from roughmap_schemas.reasons import QueryCode
 from roughmap_schemas.selectors import Bbox, RegionQuery, TileQuery
-from roughmap_service.emptied import Emptied
+from roughmap_service.emptied import Emptied, Gone
 from roughmap_service.tile_reply import TILE_LIMIT, Identity, TileReply, Wanted, region_reply, tile_range, tile_reply
 from roughmap_service.view import View
 
@@ -67,7 +67,7 @@ class Reader:
         self.tolerance = config.map.height_tolerance
         self.limits = dict(config.map.limits)
         self.max_reply_tiles = config.query.max_reply_tiles
-        self.max_region_cells = config.query.max_region_cells
+        self.max_region_cells = min(config.query.max_region_cells, MAX_CELLS)
         self._emptied = emptied
 
     def wanted(self, look: TileQuery | RegionQuery) -> Wanted:
@@ -81,14 +81,14 @@ class Reader:
         )
 
     @contextmanager
-    def frozen(self, boxes: list[tuple[int, Box | None]]) -> Iterator[tuple[list[Frozen], int, int]]:
-        """Several (level, box) of one and the same map, its epoch and its sequence."""
+    def frozen(self, boxes: list[tuple[int, Box | None]]) -> Iterator[tuple[list[Frozen], int, int, Gone]]:
+        """Several (level, box) of one and the same map, its epoch and sequence, and what resets had emptied by then."""
         held: list[Frozen] = []
         try:
             with self.view.reading() as rough_map:
                 held.extend(rough_map.freeze(level, box) for level, box in boxes)
-                epoch, sequence = self.view.epoch, rough_map.sequence
-            yield held, epoch, sequence
+                epoch, sequence, gone = self.view.epoch, rough_map.sequence, self._emptied.now
+            yield held, epoch, sequence, gone
         finally:
             with self.view.reading():
                 for one in held:
@@ -123,9 +123,11 @@ class Reader:
         if len(parts) == len(form.chunks) and "**" not in parts:
             # Zenoh brought the query here, so its other chunks match: what counts is in the numbers' places.
             parts = [part if chunk.startswith("{") else chunk for chunk, part in zip(form.chunks, parts, strict=True)]
-            if not any("$*" in part for part in parts):
-                return self.keys.parse_tile_selector("/".join(parts), self.levels), None
-        elif "**" not in parts:
+            # A chunk such as 1$* takes any number at first; what else stands there must be one.
+            whole = ["*" if "$*" in part else part for part in parts]
+            selected = self.keys.parse_tile_selector("/".join(whole), self.levels)
+            return selected, zenoh.KeyExpr(key) if whole != parts else None
+        if "**" not in parts:
             return self.keys.parse_tile_selector(key, self.levels), None  # raises: no tile has such a key
         return (None, None, None), zenoh.KeyExpr(key)
 
@@ -133,7 +135,7 @@ class Reader:
         self, asked: TileQuery, boxes: list[tuple[int, Box | None]], pattern: zenoh.KeyExpr | None, send: Send
     ) -> Outcome:
         wanted = self.wanted(asked)
-        with self.frozen(boxes) as (levels, epoch, sequence):
+        with self.frozen(boxes) as (levels, epoch, sequence, gone):
             same_epoch = asked.since is not None and asked.epoch == epoch
             if same_epoch and asked.since is not None and asked.since > sequence:
                 raise QueryFault(
@@ -147,8 +149,8 @@ class Reader:
                     tiles, sequences = tiles[newer], sequences[newer]
                 chosen.extend((frozen, x, y, s) for (x, y), s in zip(tiles.tolist(), sequences.tolist(), strict=True))
                 if asked.since is not None and not same_epoch:
-                    gone = _within(self._emptied.tiles(level, frozen.tiles), box)
-                    chosen.extend((frozen, x, y, self._emptied.sequence) for x, y in gone.tolist())
+                    emptied = _within(gone.tiles(level, frozen.tiles), box)
+                    chosen.extend((frozen, x, y, gone.sequence) for x, y in emptied.tolist())
             if pattern is not None:
                 chosen = [c for c in chosen if pattern.intersects(self.keys.tile(c[0].level, c[1], c[2]))]
             if len(chosen) > self.max_reply_tiles:
@@ -196,7 +198,7 @@ class Reader:
         )
 
     def _answer_region(self, asked: RegionQuery, cells: CellBox, send: Send) -> Outcome:
-        with self.frozen([(asked.level, tile_box(cells))]) as ((frozen,), epoch, sequence):
+        with self.frozen([(asked.level, tile_box(cells))]) as ((frozen,), epoch, sequence, _):
             reply: TileReply = region_reply(frozen, asked.bbox, self.wanted(asked), self.identity, epoch)
         send(self.keys.region, reply.payload, GRID, reply.attachment)
         return Outcome(1, sequence)

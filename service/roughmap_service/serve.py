@@ -148,7 +148,7 @@ def _run(
                 emptied=emptied,
             )
         )  # fmt: skip
-        stack.enter_context(Updates(session, view, keys, config, identity, record.update))
+        stack.enter_context(Updates(session, view, keys, config, identity, record.update, emptied))
         stack.enter_context(StatusPublisher(session, keys, status))
         stack.callback(intake.close)  # after the subscribers are gone; refuses what still comes
         stack.enter_context(ZenohInputs(session, keys, intake, replies, config.input.max_message, counters))

@@ -1,5 +1,6 @@
 """The status: how the service and its map are."""
 
+import logging
 import os
 import threading
 import time
@@ -30,6 +31,8 @@ from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refus
 from roughmap_service.counters import Counters
 from roughmap_service.tile_reply import Identity
 from roughmap_service.view import View
+
+LOG = logging.getLogger(__name__)
 
 PERIOD_S = 1.0
 """The contract's 1 Hz."""
@@ -161,11 +164,16 @@ class StatusPublisher:
     def _run(self) -> None:
         encoding = json_encoding("MapStatus")
         while not self._closing.is_set():
-            # DROP: the next status makes up for a lost one, and a reader that stalls must not hold it up.
-            self._session.put(
-                self._key,
-                model_bytes(self._status()),
-                encoding=encoding,
-                congestion_control=zenoh.CongestionControl.DROP,
-            )
+            try:
+                # DROP: the next status makes up for a lost one, and a reader that stalls must not hold it up.
+                self._session.put(
+                    self._key,
+                    model_bytes(self._status()),
+                    encoding=encoding,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                )
+            except Exception:  # whoever watches would take silence for a dead service
+                if self._session.is_closed():
+                    return
+                LOG.exception("the status could not be published")
             self._closing.wait(PERIOD_S)

@@ -1,5 +1,6 @@
 """Changed tiles, published while someone listens."""
 
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -16,9 +17,11 @@ from roughmap_schemas.config import Config
 from roughmap_schemas.encodings import GRID
 from roughmap_schemas.keys import Keys
 from roughmap_schemas.messages import UpdateRecord, model_bytes
-from roughmap_service.emptied import without
+from roughmap_service.emptied import Emptied, without
 from roughmap_service.tile_reply import Identity, Wanted, tile_reply
 from roughmap_service.view import View
+
+LOG = logging.getLogger(__name__)
 
 LOOK_S = 0.5
 """How long the thread waits at most before it looks whether it shall end."""
@@ -59,12 +62,14 @@ class Updates:
         config: Config,
         identity: Identity,
         record: RecordUpdate,
+        emptied: Emptied,
     ) -> None:
         self._session = session
         self._view = view
         self._keys = keys
         self._identity = identity
         self._record = record
+        self._emptied = emptied
         self._mode = config.log.updates
         self._period = 1.0 / config.updates.update_hz
         self._wanted = Wanted(tuple(config.updates.layers), config.map.height_tolerance, dict(config.map.limits))
@@ -135,14 +140,24 @@ class Updates:
                 continue
             started = time.monotonic()
             for level in listened:
-                self._round(level)
+                self._tell(level)
             self._remember()
             self._closing.wait(max(0.0, self._period - (time.monotonic() - started)))
             told = min((state.version for state in self._told.values()), default=(0, 0))
             if set(self._told) == {level for level in self._levels if self._listened[level]}:
                 self._view.wait_change(told, LOOK_S)
-        for level in list(self._told):
+        for level in [level for level in self._told if self._listened[level]]:
+            self._tell(level)
+
+    def _tell(self, level: int) -> None:
+        """One round; what goes wrong in it is said, and the next round takes it up again."""
+        try:
             self._round(level)
+        except Exception:
+            if self._session.is_closed():
+                self._closing.set()
+            else:
+                LOG.exception("the changes of level %d could not be published; they are tried again", level)
 
     def _remember(self) -> None:
         """Keep a version of the map that is one to two ``BACK_S`` old."""
@@ -156,7 +171,12 @@ class Updates:
     def _round(self, level: int) -> None:
         """Publish what changed at a level since its listeners were last told."""
         with self._view.freeze(level) as (frozen, epoch):
-            state = self._told.setdefault(level, _Level(self._back[2], frozen.tiles))
+            state = self._told.get(level)
+            if state is None:
+                state = self._told[level] = _Level(self._back[2], frozen.tiles)
+                if state.version[0] != epoch:  # the map was reset a moment ago: they may hold tiles from before
+                    gone = self._emptied.now.tiles(level, frozen.tiles)
+                    state.tiles = np.concatenate([frozen.tiles, gone])
             told_epoch, told_sequence = state.version
             changed = frozen.sequences > (told_sequence if epoch == told_epoch else -1)
             tiles = zip(frozen.tiles[changed].tolist(), frozen.sequences[changed].tolist(), strict=True)
