@@ -3,6 +3,7 @@
 from roughmap_client.answers import Cells, Changes, Layers, Region, Tile, Version
 from roughmap_client.client import RoughMapClient
 from roughmap_client.errors import (
+    BadArgument,
     IncompleteAnswer,
     MixedInstances,
     NoAnswer,
@@ -13,6 +14,7 @@ from roughmap_client.errors import (
 from roughmap_client.watching import Watch
 
 __all__ = [
+    "BadArgument",
     "Cells",
     "Changes",
     "IncompleteAnswer",

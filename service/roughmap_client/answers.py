@@ -15,11 +15,13 @@ Plane = npt.NDArray[np.float32] | npt.NDArray[np.float64]
 class Version(NamedTuple):
     """A state of a map: ``sequence`` counts its changes, ``epoch`` its starts and resets.
 
-    Only versions of one epoch can be compared.
+    Only versions of one epoch can be compared. ``instance`` is the process that told it ("": not known): a run begun
+    anew counts from 1 again, and must not be taken for the one before.
     """
 
     epoch: int
     sequence: int
+    instance: str = ""
 
 
 class Layers(Mapping[str, Plane]):
@@ -64,7 +66,7 @@ class Layers(Mapping[str, Plane]):
     @property
     def version(self) -> Version:
         """The state of the map that this shows."""
-        return Version(self.info.epoch, self.info.map_sequence)
+        return Version(self.info.epoch, self.info.map_sequence, self.info.instance)
 
     @property
     def sequence(self) -> int:
@@ -115,7 +117,11 @@ class Changes:
 
 @dataclass(frozen=True)
 class Cells(Mapping[str, npt.NDArray[np.float64]]):
-    """Single cells, in the order of the points asked for; layers by name, (N,) float64, NaN where not known."""
+    """Single cells, in the order of the points asked for; layers by name, (N,) float64, NaN where not known.
+
+    ``i``, ``j`` (N,) are the cells' numbers at level 0, ``states`` their records (None: never hit), ``known`` (N,) says
+    which were hit.
+    """
 
     i: npt.NDArray[np.int64]
     j: npt.NDArray[np.int64]

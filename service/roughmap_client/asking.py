@@ -1,6 +1,8 @@
-"""One query over Zenoh, with a time limit: everything that comes, and how it ended."""
+"""The client's session, and one query with a time limit: everything that comes, and how it ended."""
 
+import json
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import zenoh
@@ -75,7 +77,7 @@ def ask(
     """Ask, and wait at most ``timeout`` seconds for the last reply.
 
     Consolidation is NONE: replies come as they are sent. The callback only copies and appends, so Zenoh's queue between
-    network and callback stays short however many tiles come.
+    network and callback stays short however many tiles come. Raises NoAnswer if the session is closed.
     """
     answer = Answer()
     ended = threading.Event()
@@ -102,17 +104,38 @@ def ask(
             elif error is not None:
                 answer.errors.append((error.payload.to_bytes(), str(error.encoding)))
 
-    session.get(
-        selector,
-        zenoh.handlers.Callback(take, ended.set),
-        target=zenoh.QueryTarget.ALL_COMPLETE,
-        consolidation=zenoh.ConsolidationMode.NONE,
-        timeout=timeout,
-        payload=payload,
-        encoding=encoding,
-    )
+    try:
+        session.get(
+            selector,
+            zenoh.handlers.Callback(take, ended.set),
+            target=zenoh.QueryTarget.ALL_COMPLETE,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=timeout,
+            payload=payload,
+            encoding=encoding,
+        )
+    except zenoh.ZError as error:
+        raise NoAnswer(f"{selector[:200]} could not be asked: {str(error).splitlines()[0][:200]}") from None
     if not ended.wait(timeout + GRACE_S):
         with lock:
             ended.set()
             answer.timed_out = True
     return answer
+
+
+def open_session(connect: Sequence[str], timeout: float) -> zenoh.Session:
+    """A client session to the first endpoint that answers; it connects again by itself when that one comes back."""
+    config = zenoh.Config()
+    settings = {
+        "mode": "client",
+        "scouting/multicast/enabled": not connect,
+        "connect/endpoints": list(connect),
+        "connect/timeout_ms": int(timeout * 1000),
+    }
+    for path, value in settings.items():
+        config.insert_json5(path, json.dumps(value))
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        where = ", ".join(connect) or "any router or service found by scouting"
+        raise NoAnswer(f"no connection to {where} within {timeout:g} s ({str(error).splitlines()[0][:120]})") from None

@@ -3,6 +3,7 @@
 import json
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import Literal, Self, TypeVar
@@ -12,12 +13,13 @@ import numpy.typing as npt
 import zenoh
 
 from roughmap_client.answers import Cells, Changes, Region, Tile, Version
-from roughmap_client.asking import Answer, Part, ask
-from roughmap_client.errors import NoAnswer, QueryRefused, RoughMapError
+from roughmap_client.asking import Answer, ask, open_session
+from roughmap_client.errors import BadArgument, NoAnswer, QueryRefused, RoughMapError
 from roughmap_client.reading import read_cells, read_model, read_region, read_tiles, read_update
 from roughmap_client.watching import Watch
 from roughmap_schemas import (
     CellsQuery,
+    ConfigFault,
     Keys,
     MapStatus,
     Receipt,
@@ -25,6 +27,7 @@ from roughmap_schemas import (
     TileQuery,
     encodings,
 )
+from roughmap_schemas.keys import NAME, NAME_PATTERN
 
 T = TypeVar("T")
 
@@ -52,23 +55,33 @@ class RoughMapClient:
     """One map's reader and feeder; a context manager, usable from several threads.
 
     ``connect`` are Zenoh endpoints of the service or of a router, such as ``tcp/127.0.0.1:7447``; or give a ``session``
-    of your own, which is then left open at the end. ``timeout`` (s) bounds every call: within it a question is asked
-    again while nobody answers, so that a service that restarts meanwhile is waited for. All errors are RoughMapError.
+    of your own, which is then left open at the end. ``timeout`` (s) bounds every call, and so does each call's own:
+    within it a question is asked again while nobody answers, so that a service that restarts meanwhile is waited for.
+    Coordinates and heights are metres in the map's frame, angles radians, stamps nanoseconds since the Unix epoch.
+
+    All errors are RoughMapError: BadArgument before anything is asked; NoAnswer if none came within the time limit;
+    QueryRefused with the service's code; IncompleteAnswer, MixedInstances and UnreadableAnswer for answers that must
+    not be used. The constructor raises BadArgument, and NoAnswer if no connection comes about within ``timeout``.
     """
 
     def __init__(
         self,
         map_name: str,
-        connect: Sequence[str] = (),
+        connect: str | Sequence[str] = (),
         *,
         timeout: float = 10.0,
         session: zenoh.Session | None = None,
         keys: Mapping[str, str] | None = None,
     ) -> None:
-        self._keys = Keys(map_name, keys)
+        try:
+            self._keys = Keys(map_name, keys)
+        except ConfigFault as fault:
+            raise BadArgument(str(fault)) from None
         self._timeout = timeout
         self._owned = session is None
-        self._session = _open(connect, timeout) if session is None else session
+        self._watches: weakref.WeakSet[Watch] = weakref.WeakSet()
+        endpoints = [connect] if isinstance(connect, str) else list(connect)
+        self._session = open_session(endpoints, timeout) if session is None else session
 
     def __enter__(self) -> Self:
         return self
@@ -79,7 +92,9 @@ class RoughMapClient:
         self.close()
 
     def close(self) -> None:
-        """Close the session, if it is the client's own."""
+        """End its watches, and close the session if it is the client's own."""
+        for watch in list(self._watches):
+            watch.close()
         if self._owned and not self._session.is_closed():
             self._session.close()
 
@@ -96,13 +111,16 @@ class RoughMapClient:
     ) -> Region:
         """Layers over ``bbox`` (xmin, ymin, xmax, ymax in metres) as one mosaic, NaN where nothing is known.
 
-        ``tolerance`` (m) is the full width of `confidence_level`, ``limits`` are `traversability`'s; None: the map's.
+        Each layer is (ny, nx) of ``dtype``, row 0 at the lowest y, over the cells of ``level`` (side: cell size times
+        2^level) that the box covers, in the map's units (metres, radians; see the contract's table of layers).
+        ``tolerance`` (m) is the full width of `confidence_level` (eq. 11), ``limits`` are `traversability`'s; None: the
+        map's. QueryRefused: `bad_bbox`, `bad_level`, `unknown_layer`, `bad_parameter`, `too_large`.
         """
         asked = RegionQuery(
             bbox=bbox, layers=tuple(layers), level=level, tolerance=tolerance, limits=limits, dtype=dtype,
             compression="zstd",
         )  # fmt: skip
-        answer = self._ask(self._keys.region, asked.format(), timeout, Answer.single)
+        answer = self._ask(self._keys.region, asked.format(), self._until(timeout), Answer.single)
         return read_region(answer, asked.layers)
 
     def tiles(
@@ -113,9 +131,14 @@ class RoughMapClient:
         level: int = 0,
         timeout: float | None = None,
     ) -> list[Tile]:
-        """The known tiles that meet ``bbox`` (None: all), each whole, all of one state of the map."""
+        """The known tiles that meet ``bbox`` (metres, half-open; None: all), each whole, all of one state of the map.
+
+        Ascending by (x, y); layers are (64, 64) float32 as in `region`. An empty list says that a service is there and
+        knows no such tile. QueryRefused: `bad_bbox`, `bad_level`, `unknown_layer`, `too_large`.
+        """
         asked = TileQuery(bbox=bbox, layers=tuple(layers), compression="zstd")
-        return self._tiles(asked, level, timeout)
+        until = self._until(timeout)
+        return self._tiles(asked, level, until) or self._tiles_and_status(lambda _: asked, level, until)[0]
 
     def changes(
         self,
@@ -128,18 +151,21 @@ class RoughMapClient:
     ) -> Changes:
         """The tiles that changed since a version, of an earlier answer's ``version``; None: all tiles.
 
-        If the map was restarted or reset since, ``anew`` is true and the tiles are all there are.
+        If the map was restarted or reset since, ``anew`` is true and the tiles are all there are, those that a reset
+        emptied with `known_cells` 0. Ask with the same ``bbox`` and ``level`` as before. QueryRefused as `tiles`.
         """
-        status = self.status(timeout=timeout)
-        before = Version(status.epoch, status.sequence)
-        held = since if since is not None and since <= before else None
-        asked = TileQuery(
-            bbox=bbox, layers=tuple(layers), compression="zstd",
-            since=None if held is None else held.sequence, epoch=None if held is None else held.epoch,
-        )  # fmt: skip
-        tiles = self._tiles(asked, level, timeout)
+
+        def query(before: MapStatus) -> TileQuery:
+            held = _held(since, before)
+            return TileQuery(
+                bbox=bbox, layers=tuple(layers), compression="zstd",
+                since=None if held is None else held.sequence, epoch=None if held is None else held.epoch,
+            )  # fmt: skip
+
+        tiles, before = self._tiles_and_status(query, level, self._until(timeout))
         # Without a tile the answer tells no version; what was true before it is the latest that is known for sure.
-        version = tiles[0].version if tiles else before
+        version = tiles[0].version if tiles else Version(before.epoch, before.sequence, before.instance)
+        held = _held(since, before)
         return Changes(version, tiles, anew=held is None or held.epoch != version.epoch)
 
     def watch(
@@ -152,10 +178,15 @@ class RoughMapClient:
         """Call ``callback`` with each tile of a level as it changes, until the watch is closed (a context manager).
 
         The service publishes the layers and levels of its ``updates`` settings. Tiles come one by one in a thread of
-        their own; while the callback is busy, a newer state of a tile takes the place of an older one that waits.
+        their own; while the callback is busy, a newer state of a tile takes the place of an older one that waits. What
+        the callback raises is logged, and the watch goes on. ``on_error`` is told of updates that can't be read (they
+        are logged otherwise). The watch outlives a restart of the service; a tile's ``version`` tells of it.
+        NoAnswer if the session is closed.
         """
         key = self._keys.form("updates").make(z=level, x="*", y="*")
-        return Watch(self._session, key, read_update, callback, on_error)
+        watch = Watch(self._session, key, read_update, callback, on_error)
+        self._watches.add(watch)
+        return watch
 
     def cells(
         self,
@@ -166,46 +197,75 @@ class RoughMapClient:
         limits: Mapping[str, float] | None = None,
         timeout: float | None = None,
     ) -> Cells:
-        """The cells in which places (N, 2) in metres fall, N at most 10,000, in the order of the places."""
-        places = np.asarray(points, np.float64).reshape(-1, 2)
+        """The cells in which places (N, 2) in metres fall, N at most 10,000, in the order of the places.
+
+        ``tolerance`` and ``limits`` as in `region`. BadArgument for another shape; QueryRefused: `too_large`,
+        `bad_parameter` (places that are not finite, or whose cells' numbers are not int32), `unknown_layer`.
+        """
+        try:
+            places = np.asarray(points, np.float64)
+        except (TypeError, ValueError) as error:
+            raise BadArgument(f"points: expected numbers of shape (N, 2); {error}") from None
+        if places.shape != (2,) and (places.ndim != 2 or places.shape[1] != 2):
+            raise BadArgument(f"points: expected numbers of shape (N, 2); found {places.shape}")
+        places = places.reshape(-1, 2)
         asked = CellsQuery(layers=tuple(layers), tolerance=tolerance, limits=limits)
-        answer = self._ask(
-            self._keys.cells, asked.format()[0], timeout, Answer.single, payload=json.dumps(places.tolist()).encode()
-        )
-        return read_cells(answer, asked.layers)
+        payload = json.dumps(places.tolist()).encode()
+        until = self._until(timeout)
+        answer = self._ask(self._keys.cells, asked.format()[0], until, Answer.single, payload=payload)
+        return read_cells(answer, asked.layers, len(places))
 
     def status(self, *, timeout: float | None = None) -> MapStatus:
         """How the service and its map are."""
-        part = self._ask(self._keys.status, "", timeout, Answer.single)
-        return read_model(part, MapStatus)
+        return self._status(self._until(timeout))
 
     def ingest(
         self, message: bytes, robot: str, *, kind: InputKind = "points", timeout: float | None = None
     ) -> Receipt:
         """Hand in a cloud (or pose, or transform) as encoded; its receipt says that the log holds it, on the disk.
 
-        Where no receipt comes, the same bytes are sent again, until the time limit; the service takes them once.
+        ``message`` is a serialised foxglove.PointCloud (Odometry, FrameTransform). Where no receipt comes, or the
+        service is busy, the same bytes are sent again, until the time limit; the service takes them once.
+        QueryRefused: `bad_message`, `too_large`, `unknown_sensor`, `unknown_robot`, `busy`, `log_unavailable`,
+        `shutting_down`. After NoAnswer the message may or may not be logged: send the same bytes again.
         """
-        key = self._keys.form(f"ingest_{kind}").make(robot=robot)
+        if kind not in INPUT_ENCODINGS:
+            raise BadArgument(f"kind: expected one of {', '.join(INPUT_ENCODINGS)}; found {kind!r}")
+        if not NAME.fullmatch(robot):
+            raise BadArgument(f"robot: expected a name that matches {NAME_PATTERN}; found {robot[:80]!r}")
         part = self._ask(
-            key, "", timeout, Answer.single, payload=message, encoding=INPUT_ENCODINGS[kind], attempt=RECEIPT_S
-        )
+            self._keys.form(f"ingest_{kind}").make(robot=robot), "", self._until(timeout), Answer.single,
+            payload=message, encoding=INPUT_ENCODINGS[kind], attempt=RECEIPT_S,
+        )  # fmt: skip
         return read_model(part, Receipt)
 
-    def _tiles(self, asked: TileQuery, level: int, timeout: float | None) -> list[Tile]:
-        def whole(answer: Answer) -> list[Part]:
-            parts = answer.whole()
-            if not parts:
-                self.status(timeout=AGAIN_S * 5)  # no tile, or nobody there? NoAnswer if nobody
-            return parts
+    def _until(self, timeout: float | None) -> float:
+        """The end of a call, on the monotonic clock."""
+        return time.monotonic() + (self._timeout if timeout is None else timeout)
 
-        return read_tiles(self._ask(self._keys.tiles(level), asked.format(), timeout, whole), asked.layers)
+    def _status(self, until: float) -> MapStatus:
+        return read_model(self._ask(self._keys.status, "", until, Answer.single), MapStatus)
+
+    def _tiles(self, asked: TileQuery, level: int, until: float) -> list[Tile]:
+        """One answer; none if there is no such tile, or nobody to answer."""
+        return read_tiles(self._ask(self._keys.tiles(level), asked.format(), until, Answer.whole), asked.layers)
+
+    def _tiles_and_status(
+        self, query: Callable[[MapStatus], TileQuery], level: int, until: float
+    ) -> tuple[list[Tile], MapStatus]:
+        """Tiles and the status right before, of one instance: so an empty answer is the service's and no silence."""
+        while True:
+            before = self._status(until)
+            tiles = self._tiles(query(before), level, until)
+            after = tiles[0].info.instance if tiles else self._status(until).instance
+            if after == before.instance:
+                return tiles, before
 
     def _ask(
         self,
         key: str,
         parameters: str,
-        timeout: float | None,
+        until: float,
         take: Callable[[Answer], T],
         *,
         payload: bytes | None = None,
@@ -214,35 +274,25 @@ class RoughMapClient:
     ) -> T:
         """Ask until ``take`` accepts an answer, or the time limit comes: then its last error is raised."""
         selector = f"{key}?{parameters}" if parameters else key
-        deadline = time.monotonic() + (self._timeout if timeout is None else timeout)
         pause = threading.Event()
         while True:
-            left = max(deadline - time.monotonic(), 0.001)
+            left = max(until - time.monotonic(), 0.001)
             try:
                 answer = ask(self._session, selector, timeout=min(left, attempt), payload=payload, encoding=encoding)
                 return take(answer)
             except QueryRefused as refused:
-                if refused.code not in PASSING or time.monotonic() + AGAIN_S >= deadline:
+                if refused.code not in PASSING or time.monotonic() + AGAIN_S >= until:
                     raise
             except NoAnswer:
-                if time.monotonic() + AGAIN_S >= deadline:
+                if self._session.is_closed() or time.monotonic() + AGAIN_S >= until:
                     raise
             pause.wait(AGAIN_S)
 
 
-def _open(connect: Sequence[str], timeout: float) -> zenoh.Session:
-    """A client session to the first endpoint that answers; it connects again by itself when that one comes back."""
-    config = zenoh.Config()
-    settings = {
-        "mode": "client",
-        "scouting/multicast/enabled": not connect,
-        "connect/endpoints": list(connect),
-        "connect/timeout_ms": int(timeout * 1000),
-    }
-    for path, value in settings.items():
-        config.insert_json5(path, json.dumps(value))
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        where = ", ".join(connect) or "any router or service found by scouting"
-        raise NoAnswer(f"no connection to {where} within {timeout:g} s ({str(error).splitlines()[0][:120]})") from None
+def _held(since: Version | None, status: MapStatus) -> Version | None:
+    """The version if it is one of this run's past; None if all tiles must be asked for."""
+    if since is None or (since.epoch, since.sequence) > (status.epoch, status.sequence):
+        return None
+    if since.epoch == status.epoch and since.instance not in {"", status.instance}:
+        return None
+    return since

@@ -1,6 +1,7 @@
 """What can go wrong for a planner, as one tree."""
 
 __all__ = [
+    "BadArgument",
     "IncompleteAnswer",
     "MixedInstances",
     "NoAnswer",
@@ -12,6 +13,10 @@ __all__ = [
 
 class RoughMapError(Exception):
     """Base of everything that the client raises of its own accord."""
+
+
+class BadArgument(RoughMapError, ValueError):
+    """What the caller gave can't be asked of any service: a name that is none, points that are not (N, 2)."""
 
 
 class NoAnswer(RoughMapError):

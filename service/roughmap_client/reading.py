@@ -23,6 +23,9 @@ from roughmap_schemas.messages import Message
 
 M = TypeVar("M", bound=Message)
 
+TILE_CELLS = 64
+"""Cells along a side of a tile; the contract's, stands here so that a client need not load the kernels."""
+
 
 def read_region(part: Part, layers: Sequence[str]) -> Region:
     """The one reply to a region query."""
@@ -39,7 +42,7 @@ def read_tiles(parts: Sequence[Part], layers: Sequence[str]) -> list[Tile]:
         raise MixedInstances(f"{len(instances)} services answered: {', '.join(sorted(instances))}")
     if len({tile.version for tile in tiles}) > 1:
         raise IncompleteAnswer("the tiles are of different states of the map")
-    if tiles and tiles[0].info.answer_tiles != len({tile.key for tile in tiles}):
+    if tiles and not tiles[0].info.answer_tiles == len(tiles) == len({tile.key for tile in tiles}):
         raise IncompleteAnswer(f"{len(tiles)} of {tiles[0].info.answer_tiles} tiles came")
     return tiles
 
@@ -57,10 +60,12 @@ def read_update(sample: zenoh.Sample) -> Tile:
     return _tile(part, ())
 
 
-def read_cells(part: Part, layers: Sequence[str]) -> Cells:
-    """The reply to a cells query."""
+def read_cells(part: Part, layers: Sequence[str], number: int) -> Cells:
+    """The reply to a cells query about so many places."""
     answer = read_model(part, CellAnswer)
     cells = answer.cells
+    if len(cells) != number:
+        raise UnreadableAnswer(f"{part.key}: expected {number} cells; found {len(cells)}")
     missing = [name for name in layers if any(name not in cell.layers for cell in cells)]
     if missing:
         raise UnreadableAnswer(f"{part.key}: the layers {', '.join(missing)} are missing")
@@ -70,7 +75,7 @@ def read_cells(part: Part, layers: Sequence[str]) -> Cells:
         states=[cell.state for cell in cells],
         layers={name: _floats([cell.layers[name] for cell in cells]) for name in layers},
         instance=answer.instance,
-        version=Version(answer.epoch, answer.sequence),
+        version=Version(answer.epoch, answer.sequence, answer.instance),
     )
 
 
@@ -90,6 +95,11 @@ def _floats(values: Sequence[float | None]) -> "np.ndarray[tuple[int, ...], np.d
 
 def _tile(part: Part, layers: Sequence[str]) -> Tile:
     info, grid = _grid(part, layers)
+    if info.x is None or info.y is None:
+        raise UnreadableAnswer(f"{part.key}: expected a tile with its numbers; found x {info.x}, y {info.y}")
+    shape = next(iter(grid.layers.values())).shape
+    if shape != (TILE_CELLS, TILE_CELLS):
+        raise UnreadableAnswer(f"{part.key}: expected {TILE_CELLS} x {TILE_CELLS} cells; found {shape}")
     return Tile(grid.layers, grid.origin, grid.cell_size, info)
 
 

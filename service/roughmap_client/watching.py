@@ -9,7 +9,7 @@ from typing import Self
 import zenoh
 
 from roughmap_client.answers import Tile
-from roughmap_client.errors import RoughMapError
+from roughmap_client.errors import NoAnswer, RoughMapError
 
 log = logging.getLogger(__name__)
 
@@ -38,11 +38,13 @@ class Watch:
         self._wake = threading.Condition()
         self._waiting: dict[str, zenoh.Sample] = {}
         self._closed = False
+        self._session = session
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
+        try:
+            self._subscriber = session.declare_subscriber(key, zenoh.handlers.Callback(self._take, indirect=False))
+        except zenoh.ZError as error:
+            raise NoAnswer(f"{key} can't be watched: {str(error).splitlines()[0][:200]}") from None
         self._thread.start()
-        self._undeclare: Callable[[], object] = session.declare_subscriber(
-            key, zenoh.handlers.Callback(self._take, indirect=False)
-        ).undeclare
 
     def close(self) -> None:
         """End; no callback begins after this."""
@@ -51,7 +53,8 @@ class Watch:
                 return
             self._closed = True
             self._wake.notify()
-        self._undeclare()
+        if not self._session.is_closed():
+            self._subscriber.undeclare()
         if threading.current_thread() is not self._thread:
             self._thread.join(END_S)
 
@@ -78,11 +81,17 @@ class Watch:
                     return
                 sample = self._waiting.pop(next(iter(self._waiting)))
             try:
-                tile = self._read(sample)
-            except RoughMapError as error:
-                if self._on_error is None:
-                    log.warning("an update can't be read: %s", error)
-                else:
-                    self._on_error(error)
-                continue
+                self._hand_on(sample)
+            except Exception:  # of the caller's own function: the updates after it come all the same
+                log.exception("the callback failed on an update of %s", sample.key_expr)
+
+    def _hand_on(self, sample: zenoh.Sample) -> None:
+        try:
+            tile = self._read(sample)
+        except RoughMapError as error:
+            if self._on_error is None:
+                log.warning("an update can't be read: %s", error)
+            else:
+                self._on_error(error)
+        else:
             self._callback(tile)
