@@ -211,6 +211,8 @@ class Sequencer:
             if message.reply is not None:
                 message.reply.refuse(fault)
             return
+        if isinstance(content, Odometry):
+            self._make_way(message.robot, content.stamp_ns)
         number = self.state.input = self.state.input + 1
         self.state.record += 1
         topic = self._keys.form(message.kind).make(robot=message.robot)
@@ -218,6 +220,15 @@ class Sequencer:
         self.duplicates.add(identity, number)
         self._take_up(number, message, content)
         self._acknowledge(message, number, duplicate=False)
+
+    def _make_way(self, robot: str, stamp_ns: int) -> None:
+        """Decide clouds that a pose of this stamp would make late, though they have their poses and only wait for their
+        turn: so that a recording may be fed faster than it was made. It must come before the pose is logged, since a
+        replay, too, forgets old poses at that place."""
+        horizon = stamp_ns - self.state.settings.history_ns
+        while any(cloud.first_ns < horizon for cloud in self.inbox.queues.get(robot, ())):
+            if not self._decide():
+                return
 
     def _check(self, message: InputMessage) -> Content:
         """Decode, and hold against the configuration what the bytes alone don't tell."""

@@ -1,6 +1,8 @@
 """What becomes of a cloud: every rule of the contract ends in its reason, counted in the status and kept in the log."""
 
+import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -110,6 +112,18 @@ def test_older_than_the_poses(hasty: Running) -> None:
     _, feed = hasty
     drive(feed, "late", [float(second) for second in range(21)])
     rejected(hasty, feed.cloud("late", T0 + 9 * S), "late")
+
+
+def test_a_cloud_that_has_its_poses_is_not_late_for_the_services_slowness(tmp_path: Path) -> None:
+    """Twenty seconds of a drive lie before a service that stood still: none of it is lost to the ten that it keeps."""
+    with running(tmp_path) as (service, feed):
+        service.process.send_signal(signal.SIGSTOP)
+        for tenth in range(200):
+            drive(feed, "quick", [tenth / 10, tenth / 10 + 0.05])
+            feed.put("points", "quick", encode_cloud(GROUND, T0 + tenth * S // 10 + S // 50, "lidar"))
+        service.process.send_signal(signal.SIGCONT)
+        outcomes = {event.outcome for event in feed.wait_integrations(200)}
+        assert outcomes == {"integrated"}
 
 
 def test_too_many_new_tiles(hasty: Running) -> None:
