@@ -105,7 +105,7 @@ class _Cells:
 
     def confidence_level(self) -> F8:
         """Eq. 11: 2F(x) - 1 = erf(x / sqrt 2) with x = d sqrt(n) / (2 std_dev); erf(inf) = 1 where std_dev is 0."""
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore"):
             half_widths = self.height_tolerance * np.sqrt(self.expected_count) / (2.0 * self.std_dev)
         level: F8 = erf(half_widths / np.sqrt(2.0))
         return level

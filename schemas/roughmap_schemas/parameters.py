@@ -29,7 +29,7 @@ def parse_parameters(text: str) -> dict[str, str]:
 
     Names that begin with ``_`` are Zenoh's and left out. Raises ``QueryFault``: ``too_large`` for a text over
     ``MAX_TEXT``, ``bad_parameter`` for a blank, an empty name, a missing ``=`` or a name that stands twice (a blank in
-    ``bbox`` is ``bad_bbox``, as any fault in its value).
+    ``bbox``, or no value of it, is ``bad_bbox``, as any fault in its value).
     """
     if len(text) > MAX_TEXT:
         raise QueryFault(QueryCode.TOO_LARGE, f"parameters: expected at most {MAX_TEXT} bytes; found {len(text)}")
@@ -38,6 +38,8 @@ def parse_parameters(text: str) -> dict[str, str]:
         name, equals, value = part.partition("=")
         if name.startswith("_"):
             continue
+        if name == "bbox" and not equals:  # also ``bbox=``: Zenoh takes the sign of an empty value away
+            raise QueryFault(QueryCode.BAD_BBOX, "bbox: expected xmin,ymin,xmax,ymax; found none")
         if not name or not equals:
             raise bad("parameters", "name=value joined by ;", part)
         if any(letter.isspace() for letter in part):
