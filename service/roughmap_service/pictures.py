@@ -4,6 +4,7 @@ Needs matplotlib, which is in the `plot` extra, and no display. Only a command t
 matplotlib that is an ImportError whose text says how to mend it.
 """
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,6 +20,7 @@ try:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
+    from PIL import Image  # comes with matplotlib, which needs it
 except ImportError as missing:
     raise ImportError("pictures need matplotlib: pip install 'roughmap[plot]'") from missing
 
@@ -74,8 +76,8 @@ HEIGHTS = frozenset({"mean_height", "mid_range_height", "max_height", "min_heigh
 FIXED_SPAN = {"confidence_level": (0.0, 1.0), "traversability": (0.0, 1.0)}
 
 
-def draw(region: Layers, layers: Sequence[str], file: Path, *, title: str = "", track: Floats | None = None) -> None:
-    """Draw `layers` side by side into `file` (PNG); `track` (N, 2) is drawn as a line, metres.
+def draw(region: Layers, layers: Sequence[str], file: Path, *, title: str = "", tracks: Sequence[Floats] = ()) -> None:
+    """Draw `layers` side by side into `file` (PNG); `tracks`, each (N, 2) in metres, are drawn as robots' ways.
 
     Raises OSError where the file can't be written.
     """
@@ -87,13 +89,17 @@ def draw(region: Layers, layers: Sequence[str], file: Path, *, title: str = "", 
     with mpl.rc_context({"hatch.linewidth": 0.4, "font.size": 9}):
         figure = Figure(figsize=(width * len(layers), height), layout="constrained", dpi=130)
         for axes, layer in zip(np.atleast_1d(figure.subplots(1, len(layers))), layers, strict=True):
-            _panel(axes, region, layer, track)
+            _panel(axes, region, layer, tracks)
         if title:
             figure.suptitle(title)
-        figure.savefig(file, format="png")
+        drawn = io.BytesIO()
+        figure.savefig(drawn, format="png")
+    # 256 colours of its own are enough for a picture, and make a third of the bytes.
+    with Image.open(drawn) as image:
+        image.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(file, format="PNG", optimize=True)
 
 
-def _panel(axes: Axes, region: Layers, layer: str, track: Floats | None) -> None:
+def _panel(axes: Axes, region: Layers, layer: str, tracks: Sequence[Floats]) -> None:
     name, unit, colours = STYLES.get(layer, (layer, "", "viridis"))
     values = np.asarray(region[layer], dtype=np.float64)
     known = np.isfinite(values) & ~_never_hit(layer, values)
@@ -109,10 +115,12 @@ def _panel(axes: Axes, region: Layers, layer: str, track: Floats | None) -> None
         colour[..., :3] *= _sunlight(np.where(known, values, np.nan), region.cell_size)[..., None]
     colour[..., 3] = known
     axes.imshow(colour, origin="lower", extent=extent, interpolation="nearest")
-    axes.figure.colorbar(mappable, ax=axes, label=f"{name} [{unit}]" if unit else name, shrink=0.85, extend="both")
+    label = f"{name} [{unit}]" if unit else name
+    axes.figure.colorbar(mappable, ax=axes, label=label, shrink=0.85, extend=_extend(values[known], low, high))
     legend: list[Patch | Line2D] = [Patch(facecolor="#e4e4e4", edgecolor="#a8a8a8", hatch="////", label="unknown")]
-    if track is not None and len(track):
-        legend += axes.plot(track[:, 0], track[:, 1], color="#d01c8b", linewidth=1.2, label="rover's way")
+    for number, track in enumerate(tracks):
+        lines = axes.plot(track[:, 0], track[:, 1], color="#d01c8b", linewidth=1.2, label="rover's way")
+        legend += lines if number == 0 else []
     axes.legend(handles=legend, loc="upper right", framealpha=0.9, fontsize=8)
     axes.set_xlim(extent[0], extent[1])
     axes.set_ylim(extent[2], extent[3])
@@ -134,6 +142,12 @@ def _sunlight(height: Floats, cell_size: float) -> Floats:
 def _never_hit(layer: str, values: Floats) -> npt.NDArray[np.bool_]:
     """Counts say 0, not NaN, where nothing was seen."""
     return values == 0 if layer in {"count", "weight", "expected_count"} else np.zeros(values.shape, dtype=bool)
+
+
+def _extend(known: Floats, low: float, high: float) -> str:
+    """At which ends the colour bar gets an arrow: where there are values past its end."""
+    below, above = bool(np.any(known < low)), bool(np.any(known > high))
+    return {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[below, above]
 
 
 def _extent(region: Layers, shape: tuple[int, ...]) -> tuple[float, float, float, float]:

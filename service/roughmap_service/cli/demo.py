@@ -2,8 +2,10 @@
 
 import json
 import shutil
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
 
 import click
 
@@ -15,9 +17,12 @@ if TYPE_CHECKING:
 CONFIG_NAME = "demo.toml"
 """Also the mark of a folder that an earlier demo made, and that this one may clear."""
 
+MADE = (CONFIG_NAME, "height.png", "confidence.png", "traversability.png", "serve.txt", "simulate.txt", "replay.txt")
+"""The files that a demo leaves, beside its log."""
+
 
 @click.command
-@click.option("--seconds", type=click.FloatRange(2, 3600), default=20.0, show_default=True, help="How long to drive.")
+@click.option("--seconds", type=click.FloatRange(2, 3600), default=36.0, show_default=True, help="How long to drive.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -41,7 +46,8 @@ def demo(seconds: float, out: Path, robots: int, seed: int, as_json: bool) -> in
 
     load_pictures()  # say now, not after the drive, that they can't be drawn
     _clear(out)
-    outcome = run_demo(out, out / CONFIG_NAME, seconds=seconds, robots=robots, seed=seed, say=_say)
+    with _Progress(seconds) as progress:
+        outcome = run_demo(out, out / CONFIG_NAME, seconds=seconds, robots=robots, seed=seed, progress=progress)
     if as_json:
         click.echo(json.dumps(outcome.as_dict()))
     else:
@@ -49,8 +55,38 @@ def demo(seconds: float, out: Path, robots: int, seed: int, as_json: bool) -> in
     return 1 if outcome.differences else 0
 
 
-def _say(text: str) -> None:
-    click.echo(f"  {text}", err=True)
+class _Progress:
+    """On stderr: each step with the seconds since the start; a bar while it drives, where that is a terminal."""
+
+    def __init__(self, seconds: float) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn
+
+        console = Console(stderr=True, highlight=False)
+        columns = (
+            TextColumn("         driving"),
+            BarColumn(),
+            TextColumn("{task.completed:.0f} of {task.total:.0f} s"),
+        )
+        self._bar = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._task = self._bar.add_task("driving", total=seconds, visible=False)
+        self._begun = time.monotonic()
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+    def step(self, text: str) -> None:
+        self._bar.update(self._task, visible=False)
+        self._bar.console.print(f"[{time.monotonic() - self._begun:5.1f} s] {text}", markup=False, soft_wrap=True)
+
+    def driven(self, seconds: float) -> None:
+        self._bar.update(self._task, completed=seconds, visible=True)
 
 
 def _clear(out: Path) -> None:
@@ -59,25 +95,19 @@ def _clear(out: Path) -> None:
         raise BadUse(f"{out} holds other files: choose another folder with --out")
     out.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(out / "log", ignore_errors=True)
-    for file in (*out.glob("*.png"), *out.glob("*.txt"), out / CONFIG_NAME):
-        file.unlink(missing_ok=True)
+    for name in MADE:
+        (out / name).unlink(missing_ok=True)
 
 
 def _table(outcome: "Outcome") -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_column(style="bold")
-    table.add_column()
-    for name, value in outcome.rows():
-        table.add_row(name, value)
-    console = Console(soft_wrap=True, highlight=False)
-    console.print()
-    console.print(table)
-    console.print()
+    rows = outcome.rows()
+    width = max(len(name) for name, _ in rows)
+    click.echo()
+    for name, value in rows:
+        click.echo(f"{click.style(name.ljust(width), bold=True)}  {value}")
+    click.echo()
     for difference in outcome.differences:
         click.echo(f"differs: {difference}")
-    click.echo(outcome.replay_line)
+    click.echo(f"replay: {outcome.replay_line}" if outcome.differences else outcome.replay_line)
     click.echo("pictures: " + ", ".join(str(picture) for picture in outcome.pictures))
     click.echo(f"log, for Foxglove or `roughmap replay`: {outcome.log_directory}")

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
@@ -116,15 +117,22 @@ class RoverProcess(_Process):
         self, endpoints: list[str], seconds: float, robots: int, seed: int, start_ns: int, errors: Path
     ) -> None:
         connect = [part for endpoint in endpoints for part in ("--connect", endpoint)]
+        self._duration = seconds
         drive = ["--duration", str(seconds), "--robots", str(robots), "--seed", str(seed), "--start-ns", str(start_ns)]
         super().__init__(command("simulate", *connect, *drive, "--json"), errors)
 
-    def wait(self, seconds: float) -> dict[str, int]:
-        """What was published, once the rover has stopped."""
-        try:
-            text, _ = self.process.communicate(timeout=seconds)
-        except subprocess.TimeoutExpired:
-            raise Failure(f"the rover did not stop within {seconds:g} s") from None
+    def wait(self, seconds: float, driven: Callable[[float], None]) -> dict[str, int]:
+        """What was published, once the rover has stopped; `driven` hears now and then for how long it has driven."""
+        begun = time.monotonic()
+        while True:
+            try:
+                text, _ = self.process.communicate(timeout=0.5)
+                break
+            except subprocess.TimeoutExpired:
+                elapsed = time.monotonic() - begun
+                if elapsed > seconds:
+                    raise Failure(f"the rover did not stop within {seconds:g} s") from None
+                driven(min(elapsed, self._duration))
         if self.process.returncode != 0:
             raise Failure(f"the rover failed: {self.last_words()}")
         counts: dict[str, int] = json.loads(text)
@@ -137,8 +145,8 @@ class Planner:
     def __init__(self, client: RoughMapClient, rover: Rover) -> None:
         self.latencies: list[float] = []
         self.errors: list[str] = []
-        self.worst_lag = (float("nan"), float("nan"))
-        """Arrival to queryable, p50 and p99, as the service said them at its worst."""
+        self.worst_lag: tuple[float, float] | None = None
+        """Arrival to queryable, p50 and p99, as the service said them at its worst; None before it said any."""
         self._client = client
         self._rover = rover
         self._stop = threading.Event()
@@ -177,7 +185,7 @@ class Planner:
 
     def _note_lag(self) -> None:
         lag = self._client.status().lag_s
-        if lag.p99 is not None and lag.p50 is not None and not lag.p99 <= self.worst_lag[1]:
+        if lag.p99 is not None and lag.p50 is not None and (self.worst_lag is None or lag.p99 > self.worst_lag[1]):
             self.worst_lag = (lag.p50, lag.p99)
 
 

@@ -3,17 +3,19 @@
 import json
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from roughmap_client import RoughMapClient
+from roughmap_client import Region, RoughMapClient
 from roughmap_schemas.messages import MapStatus
-from roughmap_service.cli.demo_parts import Planner, RoverProcess, ServiceProcess, replay
+from roughmap_schemas.reasons import PointReason
+from roughmap_service.cli.demo_parts import QUERY_SIDE_M, Planner, RoverProcess, ServiceProcess, replay
 from roughmap_service.pictures import draw
 from roughmap_service.rover import POSE_SIGMA, Rover, rovers, sensor_settings
 
@@ -23,9 +25,19 @@ SETTLE_S = 20.0
 """How long the last clouds may take to be decided after the rover stopped."""
 
 PICTURE_REACH_M = 26.0
-"""Half the side of what is drawn and compared, from the middle of the rover's path: as far as its scanner sees."""
+"""Half the side of what is drawn and compared, from the middle of the rover's path; it sees 25 m."""
 
 REPLAY_LINE = re.compile(r"equal: (\d+) checkpoints, sequence (\d+), digest ([0-9a-f]{32})")
+
+
+class Progress(Protocol):
+    """Who hears how the demo gets on."""
+
+    def step(self, text: str) -> None:
+        """A step begins."""
+
+    def driven(self, seconds: float) -> None:
+        """The rover has driven so long."""
 
 
 @dataclass(frozen=True)
@@ -38,18 +50,20 @@ class Outcome:
     scans_integrated: int
     scans_rejected: int
     points: int
+    points_no_return: int
     points_rejected: int
     points_per_s: float
-    lag_p50_s: float
-    lag_p99_s: float
+    health: str
+    lag_p50_s: float | None
+    lag_p99_s: float | None
     queries: int
-    query_p50_s: float
-    query_p99_s: float
+    query_p50_s: float | None
+    query_p99_s: float | None
     known_cells: int
     tiles: int
     memory_bytes: int
-    height_error_median_m: float
-    height_error_p95_m: float
+    height_error_median_m: float | None
+    height_error_p95_m: float | None
     log_bytes: int
     replay_s: float
     wall_s: float
@@ -59,7 +73,7 @@ class Outcome:
     log_directory: Path
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON: paths become texts."""
+        """For JSON: paths are texts, what could not be measured is None."""
         made = asdict(self)
         made["pictures"] = [str(picture) for picture in self.pictures]
         made["log_directory"] = str(self.log_directory)
@@ -71,59 +85,63 @@ class Outcome:
         rejected = f", {self.scans_rejected} rejected" if self.scans_rejected else ""
         lost = self.scans_published - self.scans_integrated - self.scans_rejected
         dropped = f", {lost} dropped on the way" if lost else ""
+        slow = ["this machine was too slow for the rover's scans"] if self.health == "overloaded" else []
+        side = 2 * PICTURE_REACH_M
         return [
             ("scans", f"{self.scans_integrated} of {self.scans_published} integrated{rejected}{dropped}"),
-            ("points", f"{self.points:,} integrated ({self.points_rejected:,} returned nothing or were rejected)"),
+            ("points", f"{self.points:,} integrated, {self.points_rejected:,} rejected"),
+            ("no return", f"{self.points_no_return:,} beams met nothing within the scanner's range"),
             ("rate", f"{self.points_per_s:,.0f} points/s over {self.seconds:g} s of driving"),
-            ("scan to queryable", f"{self.lag_p50_s * 1e3:.1f} ms (p50), {self.lag_p99_s * 1e3:.1f} ms (p99)"),
+            ("scan to queryable", _told(("p50", self.lag_p50_s), ("p99", self.lag_p99_s), 1e3, "ms")),
             (
-                "query, 20 x 20 m",
-                f"{self.query_p50_s * 1e3:.1f} ms (p50), {self.query_p99_s * 1e3:.1f} ms (p99), {self.queries} queries",
+                f"query of {QUERY_SIDE_M:g} x {QUERY_SIDE_M:g} m",
+                f"{_told(('p50', self.query_p50_s), ('p99', self.query_p99_s), 1e3, 'ms')}; {self.queries} queries",
             ),
+            ("map", f"{self.known_cells:,} known cells in {side:g} x {side:g} m; {self.tiles} tiles in all"),
             (
-                "map",
-                f"{self.known_cells:,} known cells in {self.tiles} tiles; {self.memory_bytes / 2**20:.0f} MiB (RSS)",
+                "height error",
+                _told(("median", self.height_error_median_m), ("p95", self.height_error_p95_m), 100, "cm")
+                + ", to the simulated truth",
             ),
-            (
-                "height error to truth",
-                f"{self.height_error_median_m * 100:.1f} cm (median), {self.height_error_p95_m * 100:.1f} cm (p95)",
-            ),
-            ("log", f"{self.log_bytes / 1e6:.1f} MB"),
+            ("service's memory", f"{self.memory_bytes / 2**20:.0f} MiB (RSS)"),
+            ("log", f"{self.log_bytes / 1e6:.0f} MB"),
             ("replay", f"{self.replay_s:.1f} s"),
             ("all of it", f"{self.wall_s:.0f} s"),
+            *(("health", text) for text in slow),
         ]
 
 
-def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int, say: Callable[[str], None]) -> Outcome:
-    """Run it all in `out`, with the configuration written to `config`; `say` hears of each step."""
+def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int, progress: Progress) -> Outcome:
+    """Run it all in `out`, with the configuration written to `config`."""
     begun = time.monotonic()
     log_directory = (out / "log").resolve()
     start_ns = time.time_ns()
     fleet = rovers(robots, seed, start_ns)
     config.write_text(toml(settings(fleet[0], log_directory)))
     with ExitStack() as stack:
-        say("starting the service (the first start compiles its kernels)")
+        progress.step("starting the service (a first start compiles its kernels)")
         service = stack.enter_context(ServiceProcess(config, out / "serve.txt"))
         client = stack.enter_context(RoughMapClient(MAP, connect=service.endpoints, timeout=10.0))
-        say(f"service ready after {time.monotonic() - begun:.1f} s at {service.endpoints[0]}; driving {seconds:g} s")
+        progress.step(f"the service is ready at {service.endpoints[0]}; the rover drives for {seconds:g} s")
         driver = stack.enter_context(
             RoverProcess(service.endpoints, seconds, robots, seed, start_ns, out / "simulate.txt")
         )
         with Planner(client, fleet[0]) as planner:
-            published = driver.wait(seconds + 60)
-        say("driven; waiting for the last scans, then shutting down")
+            published = driver.wait(seconds + 60, progress.driven)
+        progress.step("driven; the service takes up the last scans and ends")
         status = settled(client, published["clouds"])
         region = client.region(picture_box(), ["mean_height", "confidence_level", "traversability"])
         client.close()
         exit_code = service.stop()
-    say("replaying the log")
+    progress.step("replaying its log")
     replay_begun = time.monotonic()
     replay_code, replay_line = replay(log_directory, out / "replay.txt")
     replay_s = time.monotonic() - replay_begun
-    say("drawing")
+    progress.step("comparing and drawing")
     error = height_error(fleet[0], region["mean_height"].astype(np.float64), region.origin, region.cell_size)
+    lag = planner.worst_lag or (status.lag_s.p50, status.lag_s.p99)
     pictures = tuple(
-        _draw(out / file, region, layer, fleet[0], seconds)
+        _draw(out / file, region, layer, fleet, seconds)
         for file, layer in (
             ("height.png", "mean_height"),
             ("confidence.png", "confidence_level"),
@@ -137,10 +155,12 @@ def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int,
         scans_integrated=status.clouds.accepted,
         scans_rejected=sum(status.clouds.rejected.values()),
         points=status.points.accepted,
-        points_rejected=sum(status.points.rejected.values()),
+        points_no_return=status.points.rejected.get(PointReason.NO_RETURN, 0),
+        points_rejected=sum(n for reason, n in status.points.rejected.items() if reason != PointReason.NO_RETURN),
         points_per_s=status.points.accepted / seconds,
-        lag_p50_s=planner.worst_lag[0],
-        lag_p99_s=planner.worst_lag[1],
+        health=status.health,
+        lag_p50_s=lag[0],
+        lag_p99_s=lag[1],
         queries=len(planner.latencies),
         query_p50_s=_percentile(planner.latencies, 50),
         query_p99_s=_percentile(planner.latencies, 99),
@@ -223,20 +243,28 @@ def differences(
         found.append(f"replay ended with exit code {replay_code}: {replay_line}")
     elif int(equal[2]) != status.sequence:
         found.append(f"the service was at sequence {status.sequence}, its replay at {equal[2]}")
-    if status.health != "ok":
-        found.append(f"the service's health is {status.health}")
+    if status.health == "degraded":
+        found.append("the service's health is degraded: it could not write its log")
     if not known:
         found.append("no cell is known")
     found += [f"a query failed: {error}" for error in planner.errors[:3]]
     return found
 
 
-def _draw(file: Path, region: object, layer: str, rover: Rover, seconds: float) -> Path:
-    track = rover.pose(rover.start_ns + np.arange(0, seconds, 0.1) * 1e9).position[:, :2]
-    draw(region, [layer], file, title=f"roughmap demo: {seconds:g} s of driving", track=track)  # type: ignore[arg-type]
+def _draw(file: Path, region: Region, layer: str, fleet: Sequence[Rover], seconds: float) -> Path:
+    elapsed_ns = np.arange(0, seconds, 0.1) * 1e9
+    tracks = [rover.pose(rover.start_ns + elapsed_ns).position[:, :2] for rover in fleet]
+    draw(region, [layer], file, title=f"roughmap demo: {seconds:g} s of driving", tracks=tracks)
     return file
 
 
-def _percentile(values: "npt.ArrayLike", q: float) -> float:
+def _percentile(values: npt.ArrayLike, q: float) -> float | None:
     array = np.asarray(values, dtype=np.float64)
-    return float(np.percentile(array, q)) if array.size else float("nan")
+    return float(np.percentile(array, q)) if array.size else None
+
+
+def _told(first: tuple[str, float | None], second: tuple[str, float | None], factor: float, unit: str) -> str:
+    """Two figures with their names, or that there are none."""
+    return ", ".join(
+        f"{name} unknown" if value is None else f"{name} {value * factor:.1f} {unit}" for name, value in (first, second)
+    )
