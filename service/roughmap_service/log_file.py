@@ -95,20 +95,36 @@ def sync_directory(directory: Path) -> None:
 
 
 class LogFile:
-    """An open file. Any method may raise OSError; what was flushed before stays readable."""
+    """An open file. Any method may raise OSError; what was flushed before stays readable.
 
-    def __init__(self, path: Path, metadata: RunMetadata, compression: str, open_file: OpenFile = open_new) -> None:
+    ``last_ns`` is the log time of the run's last message: times rise over the files of one writer.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        metadata: RunMetadata,
+        compression: str,
+        open_file: OpenFile = open_new,
+        *,
+        last_ns: int = 0,
+    ) -> None:
         self.path = path
         self.opened = time.monotonic()
+        self.last_ns = last_ns
+        self._closed = False
         self._stream = open_file(path)
-        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=COMPRESSIONS[compression])
-        self._channels: dict[tuple[Kind, str], int] = {}
-        self._schemas: dict[Kind, int] = {}
-        self._last_ns = 0
-        self._writer.start(profile=PROFILE)
-        self._writer.add_metadata(RECORD_NAME, metadata.to_record())
-        self.sync()
-        sync_directory(path.parent)
+        try:
+            self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=COMPRESSIONS[compression])
+            self._channels: dict[tuple[Kind, str], int] = {}
+            self._schemas: dict[Kind, int] = {}
+            self._writer.start(profile=PROFILE)
+            self._writer.add_metadata(RECORD_NAME, metadata.to_record())
+            self.sync()
+            sync_directory(path.parent)
+        except BaseException:
+            self.let_go()
+            raise
 
     @property
     def size(self) -> int:
@@ -117,10 +133,10 @@ class LogFile:
 
     def write(self, record: LogRecord) -> None:
         """Append a message. Order is file order; its log time is its receive time, made to rise."""
-        self._last_ns = max(record.received_ns, self._last_ns + 1)
+        self.last_ns = max(record.received_ns, self.last_ns + 1)
         self._writer.add_message(
             channel_id=self._channel(record.kind, record.topic),
-            log_time=self._last_ns,
+            log_time=self.last_ns,
             data=record.payload,
             publish_time=record.stamp_ns,
             sequence=record.number & 0xFFFFFFFF,
@@ -143,13 +159,22 @@ class LogFile:
         self._writer.finish()
         self._stream.flush()
         os.fsync(self._stream.fileno())
+        self._closed = True
         self._stream.close()
 
-    def abandon(self, length: int) -> None:
-        """Cut the file to ``length``, which was synced, and leave it without a footer. OSError if even that fails."""
+    def let_go(self) -> None:
+        """Close the stream of a file that failed: no footer, nothing more to be made of it."""
         with contextlib.suppress(OSError):  # closing flushes, which is what failed
             self._stream.close()
-        os.truncate(self.path, length)
+
+    def abandon(self, length: int) -> None:
+        """Cut the file to ``length``, which was synced, and leave it without a footer. OSError if even that fails.
+
+        One that has its footer on the disk stays as it is.
+        """
+        self.let_go()
+        if not self._closed:
+            os.truncate(self.path, length)
 
     def _channel(self, kind: Kind, topic: str) -> int:
         if (kind, topic) not in self._channels:

@@ -93,6 +93,7 @@ class LogWriter:
         self._queue: deque[Item] = deque()
         self._held = 0  # bytes queued or not yet on the disk
         self._stop = False
+        self._rotating = 0  # ends of the file that are asked for and not done
         self._todo: deque[Item] = deque()
         self._unsynced: list[Item] = []
         self._mark = self._synced = Mark(
@@ -126,6 +127,7 @@ class LogWriter:
         with self._wake:
             self._queue.append(item)
             self._held += _cost(item)
+            self._rotating += isinstance(item, Rotate)
             self._wake.notify_all()
 
     def put_output(self, record: LogRecord) -> bool:
@@ -150,9 +152,10 @@ class LogWriter:
         return done.wait(timeout)
 
     def wants_rotation(self) -> bool:
-        """The file has reached its size or its age."""
+        """The file has reached its size or its age, and nobody asked yet for its end."""
         age = time.monotonic() - self._file.opened
-        return self.ok and (self._length >= self._max_file_bytes or age >= self._max_file_age)
+        due = self._length >= self._max_file_bytes or age >= self._max_file_age
+        return due and self.ok and not self._rotating
 
     def close(self, timeout: float = 5.0) -> bool:
         """Write what is queued, the footer, fsync; False if the disk did not take it within ``timeout`` s."""
@@ -179,7 +182,7 @@ class LogWriter:
                     self._sync()
                     self._file.close()
                     return
-            except OSError as error:
+            except Exception as error:  # noqa: BLE001 - whatever it was, what is not on the disk must not be lost
                 if not self._start_over(error):
                     return
 
@@ -220,17 +223,21 @@ class LogWriter:
         self._last_flush = self._last_sync = time.monotonic()
         self._synced = self._mark
         done, self._unsynced = self._unsynced, []
+        self._release(done)
         for item in done:
             if isinstance(item, Sync):
-                item.done()
-        self._release(done)
+                try:
+                    item.done()
+                except Exception:
+                    log.exception("who waited for the log failed when told")
 
     def _release(self, items: list[Item]) -> None:
         with self._wake:
             self._held -= sum(_cost(item) for item in items)
+            self._rotating -= sum(isinstance(item, Rotate) for item in items)
             self._wake.notify_all()
 
-    def _start_over(self, error: OSError) -> bool:
+    def _start_over(self, error: Exception) -> bool:
         """Leave the failed file as it was last synced, and write what came since to a new one; False at the end."""
         self.ok = False
         self._fail(error)
@@ -239,6 +246,7 @@ class LogWriter:
             with self._wake:
                 if self._wake.wait_for(lambda: self._stop, RETRY_SECONDS):
                     log.error("the log was given up: %s", self.error)
+                    self._file.let_go()
                     return False
             try:
                 self._file.abandon(self._length)
@@ -248,7 +256,7 @@ class LogWriter:
                 self._open_next("")
                 self._write()
                 self._sync()
-            except OSError as again:
+            except Exception as again:  # noqa: BLE001 - as above
                 self._fail(again)
                 continue
             with self._wake:
@@ -257,8 +265,9 @@ class LogWriter:
             log.warning("the log can be written again: %s", self._file.path)
             return True
 
-    def _fail(self, error: OSError) -> None:
-        self.error = f"{error.filename or self._file.path}: {error.strerror or error}"
+    def _fail(self, error: Exception) -> None:
+        told = error.strerror if isinstance(error, OSError) else None
+        self.error = f"{getattr(error, 'filename', None) or self._file.path}: {told or error or type(error).__name__}"
 
     def _open_next(self, digest: str) -> None:
         """Go on in a new file; ``digest`` "" where the map's at this place is not known."""
@@ -273,14 +282,14 @@ class LogWriter:
                 "base_digest": digest,
             }
         )
-        self._file = self._open(metadata)
+        self._file = self._open(metadata, self._file.last_ns)
         self._metadata = metadata
         self._length = self._file.size
 
-    def _open(self, metadata: RunMetadata) -> LogFile:
+    def _open(self, metadata: RunMetadata, last_ns: int = 0) -> LogFile:
         path = self._directory / file_name(metadata.run, metadata.index)
         try:
-            return LogFile(path, metadata, self._compression, self._open_file)
+            return LogFile(path, metadata, self._compression, self._open_file, last_ns=last_ns)
         except OSError:
             # A file without its beginning is no file of the run; the next try takes the same name.
             with contextlib.suppress(OSError):

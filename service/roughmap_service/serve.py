@@ -110,7 +110,8 @@ def _run(
         stack.callback(token.undeclare)  # last of all: whoever waits for it may then open the log
         replies = stack.enter_context(Replies())
         writer = stack.enter_context(_writer(config, directory, _metadata(config, run, recovered)))
-        snapshots = stack.enter_context(Snapshots(store, view, writer, None if recovered.was_reset else recovered.cut))
+        stored = None if recovered.was_reset else recovered.cut
+        snapshots = stack.enter_context(Snapshots(store, view, writer, stored, keep=config.log.keep))
         intake = Intake(config.input.queue_limit, counters)
         events = session.declare_publisher(
             keys.events, encoding=json_encoding("Event"), congestion_control=zenoh.CongestionControl.DROP

@@ -12,6 +12,7 @@ from roughmap_schemas import Config, configuration_digest
 from .apply import RunState
 from .inbox import Inbox
 from .ingest import Duplicates
+from .log_keep import delete_oldest
 from .log_writer import LogWriter
 from .store import Cut, Store
 from .view import View
@@ -40,12 +41,18 @@ def cut_of(run: str, config: Config, state: RunState, inbox: Inbox, duplicates: 
 
 
 class Snapshots:
-    """Writes one cut at a time; one that is offered while another is being written is left out."""
+    """Writes one cut at a time; one that is offered while another is being written is left out.
 
-    def __init__(self, store: Store | None, view: View, writer: LogWriter, stored: Cut | None) -> None:
+    After each, the log's oldest files that no longer have to be there are deleted, if it is bounded to ``keep`` bytes.
+    """
+
+    def __init__(
+        self, store: Store | None, view: View, writer: LogWriter, stored: Cut | None, *, keep: int | None = None
+    ) -> None:
         self._store = store
         self._view = view
         self._writer = writer
+        self._keep = keep
         self._epoch_of_tiles = view.epoch if stored is not None else None
         self._busy = threading.Lock()
         self._thread: threading.Thread | None = None
@@ -94,6 +101,7 @@ class Snapshots:
             after = self.sequence if self._epoch_of_tiles == cut.epoch else None
             self._store.write(cut, frozen, after)
             self._epoch_of_tiles, self.sequence, self.error = cut.epoch, cut.sequence, ""
+            self._delete_log(cut)
         except (sqlite3.Error, OSError) as error:
             self.error = f"{self._store.path}: {error}"
             log.error("no snapshot: %s", self.error)
@@ -101,3 +109,11 @@ class Snapshots:
             with self._view.reading():
                 frozen.close()
             self._busy.release()
+
+    def _delete_log(self, cut: Cut) -> None:
+        if self._keep is None:
+            return
+        try:
+            delete_oldest(self._writer.path.parent, cut, self._keep)
+        except OSError as error:
+            log.error("the log's oldest files could not be deleted: %s", error)
