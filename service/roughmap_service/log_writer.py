@@ -226,10 +226,7 @@ class LogWriter:
         self._release(done)
         for item in done:
             if isinstance(item, Sync):
-                try:
-                    item.done()
-                except Exception:
-                    log.exception("who waited for the log failed when told")
+                item.done()
 
     def _release(self, items: list[Item]) -> None:
         with self._wake:
