@@ -1,5 +1,6 @@
 """Memory that is used again from one scan to the next, and the threads that share the work."""
 
+import math
 import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -29,10 +30,11 @@ class Planes:
         self.home = np.empty(number, np.int32)
 
     def first(self, number: int) -> "Planes":
-        """Views of the first ``number`` points."""
+        """Views for ``number`` points, each without gaps: kernels are compiled for that layout alone."""
         part = Planes.__new__(Planes)
         for name, array in vars(self).items():
-            setattr(part, name, array[..., :number])
+            shape = (*array.shape[:-1], number)
+            setattr(part, name, array.reshape(-1)[: math.prod(shape)].reshape(shape))
         return part
 
 
