@@ -1,7 +1,8 @@
 """At start-up: from the store and the log to the map as it was, and to what was still undecided."""
 
 import logging
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,12 +12,15 @@ from .apply import RunError, RunState
 from .fold import fold
 from .ingest import Duplicates
 from .log_file import Kind
-from .log_reader import EventRecord, FileStart, InputRecord, LogError, RunFile, find_files, one_run, read_run
+from .log_reader import EventRecord, FileStart, InputRecord, LogError, LogItem, RunFile, find_files, one_run, read_run
 from .log_repair import repair
 from .settings import Settings, new_map
-from .store import Cut, Store, StoreError
+from .store import Cut, OtherStateVersion, Store, StoreError
 
 log = logging.getLogger(__name__)
+
+FILE_NAME = re.compile(r"roughmap-[0-9a-f]{32}-\d{6,}\.mcap")
+"""Files that may be ours; see `log_file.file_name`."""
 
 
 class IdentityError(Exception):
@@ -47,32 +51,54 @@ def recover(config: Config, directory: Path, store: Store | None, progress: Prog
 
     LogError, StoreError, RunError or IdentityError, each one line, where the map can't be had again.
     """
-    result = blank(config)
-    state = result.state
-    result.cut = cut = store.read_cut() if store is not None else None
+    outdated = False
+    cut: Cut | None = None
+    if store is not None:
+        try:
+            cut = store.read_cut()
+        except OtherStateVersion as error:
+            log.warning("%s; it is built anew from the log", error)
+            outdated = True
     files = newest_run(directory, None if cut is None else cut.run)
+    if files:
+        check_identity(config, files[-1].metadata.configuration, files[-1].path)
+    elif outdated:
+        raise LogError(f"{directory}: no log to build the store of another version anew from; start with --fresh")
+    result, end = _bring_back(config, store, cut, files, progress)
+    if cut is not None and files and end < cut.record:
+        log.warning("the log ends at record %d, the store's cut is at %d: the map is that of the log", end, cut.record)
+        result, _ = _bring_back(config, store, None, files, progress)
+    if outdated and store is not None:
+        store.set_aside("outdated")
+    return result
+
+
+def _bring_back(
+    config: Config, store: Store | None, cut: Cut | None, files: list[RunFile], progress: Progress | None
+) -> tuple[Recovered, int]:
+    """The run as of the end of its files, begun at the cut, if any; and the last record that the files hold."""
+    result = blank(config)
+    result.cut = cut
+    taken, low_water = 0, 1
     if cut is not None and store is not None:
+        taken, low_water = cut.record, cut.low_water
         _take_cut(config, store, cut, result)
     if not files:
-        return result
-    check_identity(config, files[-1].metadata.configuration, files[-1].path)
-    last = files[-1].metadata
-    result.run, result.index, result.epoch = last.run, last.index + 1, last.epoch + 1
-    taken = 0 if cut is None else cut.record
-    low_water = 1 if cut is None else cut.low_water
-    if cut is None and (files[0].metadata.base_sequence or files[0].metadata.index):
+        return result, 0
+    first, last = files[0].metadata, files[-1].metadata
+    if first.first_record > taken + 1 or first.first_input > low_water:
+        begun = "there is no store to begin from" if cut is None else f"the store ends at record {cut.record}"
         raise LogError(
-            f"{files[0].path.name} begins at sequence {files[0].metadata.base_sequence}, and there is no store to "
-            "begin from; bring back the store or the first files, or start with --fresh"
+            f"{files[0].path.name} begins at record {first.first_record}, input {first.first_input}, and {begun}; "
+            "bring back what is missing, or start with --fresh"
         )
+    result.run, result.index, result.epoch = last.run, last.index + 1, last.epoch + 1
     while len(files) > 1 and files[1].metadata.first_record <= taken and files[1].metadata.first_input <= low_water:
         files = files[1:]
-    _fold_files(result, files, taken, low_water, progress)
-    result.epoch = max(result.epoch, state.epoch + 1)
-    state.use(Settings(config))
-    if state.record < taken:
-        log.warning("the log ends at record %d, before the store's cut; going on from the store", state.record)
-    return result
+    end = _fold_files(result, files, taken, low_water, progress)
+    result.epoch = max(result.epoch, result.state.epoch + 1)
+    result.state.use(Settings(config))
+    return result, end
 
 
 def blank(config: Config) -> Recovered:
@@ -82,9 +108,10 @@ def blank(config: Config) -> Recovered:
 
 def newest_run(directory: Path, run: str | None) -> list[RunFile]:
     """The files of ``run``, or of the newest run there; files that a kill left torn are repaired first."""
-    for path in sorted(directory.glob("roughmap-*.mcap")):  # a foreign file is not ours to change
+    ours = [path for path in sorted(directory.glob("*.mcap")) if FILE_NAME.fullmatch(path.name)]
+    for path in ours:  # a foreign file is not ours to change
         repair(path)
-    files = find_files([directory])
+    files = find_files([path for path in ours if path.exists()])  # one that holds nothing was renamed by the repair
     if not files:
         return []
     newest = max(files, key=lambda file: file.metadata.created_ns).metadata.run
@@ -98,7 +125,12 @@ def newest_run(directory: Path, run: str | None) -> list[RunFile]:
 
 def check_identity(config: Config, stored: dict[str, object], where: Path) -> None:
     """IdentityError that names both values of the first setting that would make it another map."""
-    there = Config.model_validate(stored)
+    try:
+        there = Config.model_validate(stored)
+    except ValueError as error:
+        raise IdentityError(
+            f"{where}: its configuration is of another version ({str(error).splitlines()[0]}); start with --fresh"
+        ) from None
     if configuration_digest(there) == configuration_digest(config):
         return
     old, new = there.identity(), config.identity()
@@ -121,11 +153,19 @@ def _take_cut(config: Config, store: Store, cut: Cut, result: Recovered) -> None
     result.run, result.epoch = cut.run, cut.epoch + 1
 
 
-def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: int, progress: Progress | None) -> None:
+def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: int, progress: Progress | None) -> int:
+    """Take the files up into the state; the last record that they hold."""
     state = result.state
     waiting: dict[int, tuple[str, int]] = {}
-    done = 0
-    for step in fold(state, read_run(files), taken=taken, low_water=low_water):
+    done = end = 0
+
+    def items() -> Iterator[LogItem]:
+        nonlocal end
+        for item in read_run(files):
+            end = end if isinstance(item, FileStart) else item.record
+            yield item
+
+    for step in fold(state, items(), taken=taken, low_water=low_water):
         item = step.item
         if isinstance(item, FileStart):
             if progress is not None:
@@ -142,3 +182,4 @@ def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: 
         elif isinstance(step.outcome, ResetEvent):
             result.was_reset = True
     result.undecided = [(number, *waiting[number]) for number in sorted(state.clouds)]
+    return end

@@ -33,6 +33,10 @@ class StoreError(Exception):
     """A map.db that can't be used; one line that names the file, what is wrong and what to do."""
 
 
+class OtherStateVersion(StoreError):
+    """A store whose cells mean something else: it is never converted, but built anew from the log."""
+
+
 @dataclass(frozen=True)
 class Cut:
     """Where in the run the stored map stands, and what beside the map the run needs to go on from there.
@@ -77,13 +81,22 @@ class Store:
         return self.path.exists()
 
     def read_cut(self) -> Cut | None:
-        """The cut, or None if nothing was stored yet. StoreError if the file is no store."""
+        """The cut, or None if nothing was stored yet. StoreError if the file is no store, or one of another version."""
         if not self.path.exists():
             return None
         with self._reading() as db:
-            values = {name: json.loads(value) for name, value in db.execute("SELECT name, value FROM cut")}
-        if not values:
+            if not db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+                return None  # a kill came between the making of the file and of its tables
+            rows = db.execute("SELECT name, value FROM cut").fetchall()
+        if not rows:
             return None
+        try:
+            values = {name: json.loads(value) for name, value in rows}
+        except ValueError as error:
+            raise StoreError(f"{self.path}: damaged ({error}); move it away to build it anew from the log") from None
+        version = values.get("state_version")
+        if version != STATE_VERSION:
+            raise OtherStateVersion(f"{self.path}: a store of state version {version}, not {STATE_VERSION}")
         try:
             return Cut(**values)
         except TypeError as error:
@@ -133,7 +146,8 @@ class Store:
                 )
                 db.execute("COMMIT")
             except BaseException:
-                db.execute("ROLLBACK")
+                if db.in_transaction:  # some errors end it themselves
+                    db.execute("ROLLBACK")
                 raise
 
     def write_map(
