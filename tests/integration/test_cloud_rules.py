@@ -183,9 +183,10 @@ def test_a_full_inbox_drops_the_oldest_published_cloud_of_who_holds_most(patient
     for robot, stamp, size in (("big", 1, 15_000), ("small", 2, 20_000), ("big", 3, 15_000), ("third", 4, 15_000)):
         feed.put("points", robot, bulky(T0 + stamp, size))
         feed.settle()  # one at a time: several at once could fill the queue before the inbox
-    rejected(patient, first, "overload")
-    status = feed.client.status()
+    feed.decided(first)
+    status = feed.client.status()  # at once: it counts as overloaded for 2 s
     assert (status.clouds.waiting, status.health) == (3, "overloaded")
+    rejected(patient, first, "overload")
     assert not status.refused
     for robot in ("big", "small", "third"):
         drive(feed, robot, [0.0, 0.1])
