@@ -11,6 +11,10 @@ from roughmap_client.errors import IncompleteAnswer, MixedInstances, NoAnswer, Q
 from roughmap_schemas.encodings import UNSAID
 from roughmap_schemas.messages import QueryError
 
+ZENOH_TIMEOUT = b"Timeout"
+"""Zenoh's own word at the time limit. It comes from the session, without a replier, or from its router part, which does
+name one: whichever clock is first. A service's error is JSON."""
+
 GRACE_S = 1.0
 """How long past the time limit Zenoh may take to say that it is over."""
 
@@ -99,10 +103,12 @@ def ask(
                         replier=str(reply.replier_id),
                     )
                 )
-            elif reply.replier_id is None:
-                answer.timed_out = True  # Zenoh's own word at the time limit; a service's error names its replier
             elif error is not None:
-                answer.errors.append((error.payload.to_bytes(), str(error.encoding)))
+                payload = error.payload.to_bytes()
+                if reply.replier_id is None or payload == ZENOH_TIMEOUT:
+                    answer.timed_out = True
+                else:
+                    answer.errors.append((payload, str(error.encoding)))
 
     try:
         session.get(
