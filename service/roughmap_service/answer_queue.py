@@ -95,7 +95,11 @@ class AnswerQueue:
     def _take(self, small_only: bool) -> _Waiting | None:
         """The first job in rank that may run now; called with the condition held."""
         for place, job in enumerate(self._waiting):
-            fits = self._running_cells == 0 or self._running_cells + job.cells <= self._max_running_cells
+            fits = (
+                not job.cells  # such a one holds nothing back, and waits for nobody
+                or self._running_cells == 0
+                or self._running_cells + job.cells <= self._max_running_cells
+            )
             if fits and not (small_only and job.cells > SMALL_CELLS):
                 for passed in self._waiting[:place]:
                     passed.passed += 1

@@ -32,7 +32,8 @@ def plan_cells(reader: Reader, parameters: str, payload: zenoh.ZBytes | None) ->
 
 def _cells(asked: CellsQuery, cell_size: float) -> Cells:
     """(N, 2): the cells i, j = floor(x / a), floor(y / a) of the places."""
-    cells = np.floor(np.array(asked.points, np.float64).reshape(-1, 2) / cell_size)
+    with np.errstate(over="ignore"):  # what overflows is no int32 either
+        cells = np.floor(np.array(asked.points, np.float64).reshape(-1, 2) / cell_size)
     outside = ~((cells >= -INT32) & (cells < INT32)).all(axis=1)
     if outside.any():
         place = asked.points[int(np.flatnonzero(outside)[0])]

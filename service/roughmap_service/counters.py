@@ -14,6 +14,9 @@ OVERLOAD_SECONDS = 2.0
 LAG_SAMPLES = 4096
 """At most so many clouds are remembered for the lag: 400 a second over the window."""
 
+RATE_SAMPLES = 20_000
+"""At most so many poses are remembered for their rate: 2,000 a second over the window."""
+
 
 @dataclass
 class Lag:
@@ -47,6 +50,7 @@ class Counters:
         self._counts = Counts()
         self._last_overload = float("-inf")
         self._recent: deque[tuple[float, float, int]] = deque(maxlen=LAG_SAMPLES)
+        self._recent_poses: deque[float] = deque(maxlen=RATE_SAMPLES)
 
     def cloud(self, outcome: str, accepted: int, rejected: dict[str, int], arrival: float | None) -> None:
         """One decided cloud; ``arrival`` is its monotonic time in seconds (None: taken up again after a restart)."""
@@ -67,6 +71,7 @@ class Counters:
         with self._lock:
             if reason is None:
                 self._counts.poses_accepted += 1
+                self._recent_poses.append(time.monotonic())
             else:
                 self._counts.poses_rejected[reason] += 1
 
@@ -118,7 +123,10 @@ class Counters:
             return Lag(None, None)
         return Lag(lags[len(lags) // 2], lags[min(len(lags) - 1, int(len(lags) * 0.99))])
 
-    def rates(self) -> tuple[float, float]:
-        """Clouds and points a second over the last seconds."""
+    def rates(self) -> tuple[float, float, float]:
+        """Clouds, points and poses a second over the last seconds."""
         window = self._window()
-        return len(window) / LAG_WINDOW, sum(sample[2] for sample in window) / LAG_WINDOW
+        since = time.monotonic() - LAG_WINDOW
+        with self._lock:
+            poses = sum(arrival >= since for arrival in self._recent_poses)
+        return len(window) / LAG_WINDOW, sum(sample[2] for sample in window) / LAG_WINDOW, poses / LAG_WINDOW

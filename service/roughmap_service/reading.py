@@ -176,7 +176,7 @@ class Reader:
     def _cells(self, bbox: Bbox, cell_size: float) -> CellBox:
         """The cells of a box; ``too_large`` or ``bad_bbox``."""
         xmin, ymin, xmax, ymax = bbox
-        about = ((xmax - xmin) / cell_size) * ((ymax - ymin) / cell_size)
+        about = max((xmax - xmin) / cell_size, 1.0) * max((ymax - ymin) / cell_size, 1.0)
         if not about <= 2 * self.max_region_cells:  # far too many: also where the numbers overflow
             raise self._too_many_cells(f"some {about:.3g}")
         try:

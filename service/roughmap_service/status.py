@@ -88,7 +88,7 @@ class Status:
             epoch, sequence = self._view.epoch, rough_map.sequence
             extent, resident = rough_map.extent(), rough_map.tile_count
         counts, progress = self._counters.snapshot(), self._progress()
-        lag, (clouds, points) = self._counters.lag(), self._counters.rates()
+        lag, (clouds, points, poses) = self._counters.lag(), self._counters.rates()
         health = "ok" if progress.log.ok else "degraded"
         if progress.overloaded and health == "ok":
             health = "overloaded"
@@ -128,7 +128,7 @@ class Status:
             gaps=dict(counts.gaps),
             jumps=dict(counts.jumps),
             lag_s=Lag(p50=lag.p50, p99=lag.p99),
-            rates=Rates(clouds=clouds, points=points),
+            rates=Rates(clouds=clouds, points=points, poses=poses),
             memory_bytes=memory_bytes(),
             tiles=TileCounts(resident=resident, spilled=progress.spilled),
             log=progress.log,

@@ -1,0 +1,132 @@
+"""Tiles as they are published: to those who listen, the last change always."""
+
+import json
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+from asking_raw import RawTile
+from net import Gathered, wait_for
+from served import Served, some_points
+
+from roughmap_schemas.messages import UpdateRecord, parse_model
+from roughmap_service.updates import Updates
+
+
+def layers_of(served: Served, tile: RawTile) -> bool:
+    """Whether an update shows the map as it is now."""
+    z, x, y = tile.key
+    with served.map.freeze(z) as frozen:
+        return bool(tile.info["digest"] == frozen.digest(x, y))
+
+
+def start(served: Served, record: Callable[..., None] = lambda *_: None) -> Updates:
+    return Updates(served.server, served.view, served.keys, served.config, served.identity, record, served.emptied)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_the_last_change_always_comes(level: int) -> None:
+    heard: Gathered[zenoh.Sample] = Gathered()
+    settings: dict[str, Any] = {"updates": {"levels": [0, 1], "update_hz": 50.0, "layers": ["mean_height", "count"]}}
+    with Served(settings) as served, start(served):
+        subscriber = served.asker.declare_subscriber(f"maps/site/updates/{level}/*/*", heard)
+        for seed in range(20):
+            served.add(some_points(200, seed, (0.5 * seed, 0.0)))
+        last = served.map.sequence
+
+        def complete(samples: list[zenoh.Sample]) -> bool:
+            newest = {tile.key: tile for tile in map(RawTile, samples)}
+            with served.map.freeze(level) as frozen:
+                changed = frozen.tiles[frozen.sequences > 5].tolist()  # 5: the map as it was before
+            return all((level, x, y) in newest and layers_of(served, newest[level, x, y]) for x, y in changed)
+
+        samples = heard.wait(complete, "the last state of every changed tile")
+        subscriber.undeclare()
+        tiles = [RawTile(sample) for sample in samples]
+        assert max(tile.info["map_sequence"] for tile in tiles) == last
+        for tile in tiles:
+            z, x, y = tile.key
+            assert z == level
+            assert tile.name == f"maps/site/updates/{z}/{x}/{y}"
+            assert list(tile.layers()) == ["mean_height", "count"]
+            assert np.count_nonzero(tile.layers()["count"]) == tile.info["known_cells"]
+
+
+def test_nothing_is_made_while_nobody_listens() -> None:
+    made: list[str] = []
+    heard: Gathered[zenoh.Sample] = Gathered()
+    with Served({"updates": {"update_hz": 50.0}}) as served:
+        with start(served, lambda kind, *_: made.append(kind)):
+            for seed in range(5):
+                served.add(some_points(100, seed))
+        assert made == [], "all rounds are over, and nobody had listened"
+        with start(served, lambda kind, *_: made.append(kind)):
+            subscriber = served.asker.declare_subscriber("maps/site/updates/0/*/*", heard)
+            served.add(some_points(100, 9))
+            heard.wait(bool, "an update")
+            subscriber.undeclare()
+        assert made
+
+
+@pytest.mark.parametrize("mode", ["records", "grids", "none"])
+def test_what_the_log_keeps(mode: str) -> None:
+    kept: Gathered[tuple[str, bytes, int]] = Gathered()
+    heard: Gathered[zenoh.Sample] = Gathered()
+    settings: dict[str, Any] = {"log": {"updates": mode}, "updates": {"update_hz": 50.0}}
+    with Served(settings) as served, start(served, lambda *record: kept(record)):
+        subscriber = served.asker.declare_subscriber("maps/site/updates/0/*/*", heard)
+        served.add(some_points(100, 9))
+        heard.wait(lambda samples: len(samples) >= 4, "the four tiles around the origin")
+        subscriber.undeclare()
+        came = heard.items
+        if mode != "none":
+            kept.wait(lambda records: len(records) >= len(came), "their records")
+    assert {kind for kind, _, _ in kept.items} == {"records": {"updates"}, "grids": {"grids"}, "none": set()}[mode]
+    if mode == "records":
+        records = [parse_model(UpdateRecord, payload) for _, payload, _ in kept.items]
+        assert [record.info.newest_ns for record in records] == [stamp_ns for _, _, stamp_ns in kept.items]
+        assert {str(sample.key_expr) for sample in came} <= {record.key for record in records}
+    if mode == "grids":
+        assert {sample.payload.to_bytes() for sample in came} <= {payload for _, payload, _ in kept.items}
+
+
+def test_what_a_reset_emptied_is_published_once() -> None:
+    heard: Gathered[zenoh.Sample] = Gathered()
+    with Served({"updates": {"update_hz": 50.0}}) as served, start(served):
+        subscriber = served.asker.declare_subscriber("maps/site/updates/0/*/*", heard)
+        served.add(some_points(100, 9))
+        heard.wait(bool, "an update: the listener is known")
+        with served.map.freeze() as frozen:
+            known = {(0, x, y) for x, y in frozen.tiles.tolist()}
+        served.reset()
+
+        def gone(samples: list[zenoh.Sample]) -> set[tuple[int, int, int]]:
+            return {tile.key for tile in map(RawTile, samples) if tile.info["known_cells"] == 0}
+
+        heard.wait(lambda samples: gone(samples) == known, "every tile that is gone")
+        served.add(some_points(100, 10))
+        heard.wait(lambda samples: RawTile(samples[-1]).info["known_cells"] > 0, "what came after")
+        subscriber.undeclare()
+        emptied = [tile.key for tile in map(RawTile, heard.items) if tile.info["known_cells"] == 0]
+        assert len(emptied) == len(set(emptied))
+
+
+def test_one_tile_at_most_so_often() -> None:
+    """Many scans between two rounds make one update a tile: seen from the numbers, not from the clock."""
+    heard: Gathered[zenoh.Sample] = Gathered()
+    ended = threading.Event()
+    with Served({"updates": {"update_hz": 1.0}}) as served, start(served):
+        subscriber = served.asker.declare_subscriber("maps/site/updates/0/0/0", heard)
+        served.add(some_points(100, 1))
+        heard.wait(bool, "the first update")
+        for seed in range(30):
+            served.add(some_points(50, seed))
+        last = served.map.sequence
+        samples = heard.wait(lambda got: RawTile(got[-1]).info["map_sequence"] == last, "the last one")
+        subscriber.undeclare()
+        ended.set()
+    wait_for(ended, "the end")
+    assert len(samples) < 30, json.dumps([RawTile(sample).info["map_sequence"] for sample in samples])
