@@ -28,9 +28,9 @@ def is_closed(path: Path) -> bool:
 def repair(path: Path) -> Path | None:
     """Rewrite a torn file up to its last whole record, with a footer; the torn rest is kept as ``FILE.torn``.
 
-    Returns that file's path, or None if the file was closed and nothing had to be done. A file whose beginning was
-    never written holds nothing of the run and becomes the ``.torn`` as a whole. The new file is on the disk before it
-    takes the old one's name, so that a kill in here leaves the one or the other.
+    Returns that file's path, or None if there is no rest: the file was closed, or the kill came between two records. A
+    file whose beginning was never written holds nothing of the run and becomes the ``.torn`` as a whole. The new file
+    is on the disk before it takes the old one's name, so that a kill in here leaves the one or the other.
     """
     if is_closed(path):
         return None
@@ -43,19 +43,22 @@ def repair(path: Path) -> Path | None:
         writer.finish()
         stream.flush()
         os.fsync(stream.fileno())
+    size = path.stat().st_size
     if not end:
         path.rename(torn)
         whole.unlink()
     else:
-        with path.open("rb") as source, torn.open("wb") as rest:
-            source.seek(end)
-            shutil.copyfileobj(source, rest)
-            rest.flush()
-            os.fsync(rest.fileno())
+        if size > end:
+            with path.open("rb") as source, torn.open("wb") as rest:
+                source.seek(end)
+                shutil.copyfileobj(source, rest)
+                rest.flush()
+                os.fsync(rest.fileno())
         whole.rename(path)
     sync_directory(path.parent)
-    log.warning("%s had no footer: %s whole bytes kept, the rest is in %s", path.name, end, torn.name)
-    return torn
+    where = f"the rest is in {torn.name}" if size > end else "nothing was torn"
+    log.warning("%s had no footer: %s whole bytes kept, %s", path.name, end, where)
+    return torn if size > end else None
 
 
 def _copy(path: Path, writer: Writer) -> int:
