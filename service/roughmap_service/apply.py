@@ -124,7 +124,8 @@ def integrate(rough_map: RoughMap, robot: str, cloud: Cloud, poses: Sequence[Pos
         return _integrate_placed(rough_map, cloud, settings, limits)
     sensor = settings.sensor(robot, cloud.frame_id)
     if sensor is None:
-        raise RunError(f"sensor {cloud.frame_id} of {robot} is in no configuration of this log")
+        # It waited over a restart with a configuration that no longer has its sensor: nobody knows where that sat.
+        return AddReport(0, {PointReason.NO_POSE: len(cloud.points)} if len(cloud.points) else {})
     scan = Scan(
         cloud.points,
         cloud.stamp_ns,
@@ -132,7 +133,10 @@ def integrate(rough_map: RoughMap, robot: str, cloud: Cloud, poses: Sequence[Pos
         translation=sensor.translation,
         rotation=sensor.rotation,
     )
-    line = trajectory(poses, settings.pose_covariance)
+    try:
+        line = trajectory(poses, settings.pose_covariance)
+    except ValueError as error:
+        raise RunError(f"an event names poses of {robot} that make no way: {error}") from None
     return rough_map.add_scan(scan, line, sensor.noise, sensor.limits, **limits)
 
 

@@ -27,7 +27,9 @@ def decode(kind: Kind, payload: bytes, settings: Settings) -> Content:
     """Bytes to a cloud, odometry or transform. MessageFault for what is none, or is too large."""
     inputs = settings.config.input
     if kind is Kind.POINTS:
-        return decode_cloud(payload, max_message=inputs.max_message, max_points=inputs.max_points)
+        return decode_cloud(
+            payload, max_message=inputs.max_message, max_points=inputs.max_points, map_frame=settings.frame_id
+        )
     if kind is Kind.ODOMETRY:
         return decode_odometry(payload, max_message=inputs.max_message)
     return decode_transform(payload, max_message=inputs.max_message)

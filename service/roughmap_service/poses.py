@@ -22,7 +22,7 @@ MAX_POSES = 20_000
 """Poses kept a robot whatever their stamps: 10 s at 2 kHz; a flood of poses must not become a flood of memory."""
 
 MAX_TRANSFORMS = 1_000
-"""Transforms kept a robot: one is needed, the rest serve odometry that arrives late."""
+"""Transforms kept a robot: one a frame is needed, the rest serve odometry that arrives late."""
 
 STALE_ROW = 10
 """So many stale poses in a row with rising stamps mean that the clock was set back (the design's)."""
@@ -73,7 +73,8 @@ class PoseBuffer:
         pose = self._in_map_frame(odometry, number)
         if pose is None:
             return PoseReason.POSE_FRAME, False
-        if odometry.covariance_fault:
+        # Turned into the map's axes, numbers next to the largest may overflow, which no covariance survives.
+        if odometry.covariance_fault or (pose.covariance is not None and not np.isfinite(pose.covariance).all()):
             return PoseReason.BAD_COVARIANCE, False
         was_reset = False
         if pose.stamp_ns < self.horizon_ns:
@@ -85,10 +86,10 @@ class PoseBuffer:
             self.poses.clear()
             self.horizon_ns = 0
             was_reset = True
+        self.stale_row, self.stale_stamp_ns = 0, -1
         at = bisect_left(self.poses, pose.stamp_ns, key=_stamp)
         if at < len(self.poses) and self.poses[at].stamp_ns == pose.stamp_ns:
             return PoseReason.DUPLICATE, False
-        self.stale_row, self.stale_stamp_ns = 0, -1
         self.poses.insert(at, pose)
         self._trim()
         return None, was_reset
@@ -106,10 +107,7 @@ class PoseBuffer:
             self.jumps += 1
         insort(row, new, key=_stamp)
         if sum(len(r) for r in self.transforms.values()) > MAX_TRANSFORMS:
-            oldest = min(self.transforms, key=lambda child: self.transforms[child][0].stamp_ns)
-            self.transforms[oldest].pop(0)
-            if not self.transforms[oldest]:
-                del self.transforms[oldest]
+            self._forget_transform()
         return None
 
     def covers(self, first_ns: int, last_ns: int) -> bool:
@@ -137,6 +135,14 @@ class PoseBuffer:
             self.horizon_ns = max(self.horizon_ns, self.poses[keep].stamp_ns)
         del self.poses[:keep]
 
+    def _forget_transform(self) -> None:
+        """The first logged of the frame that has most: one that comes once is not driven out by one that comes often,
+        nor are a new clock's driven out by those of the clock before, whose stamps may be later."""
+        child, row = max(self.transforms.items(), key=lambda item: (len(item[1]), -min(t.input for t in item[1])))
+        row.remove(min(row, key=lambda t: t.input))
+        if not row:
+            del self.transforms[child]
+
     def _in_map_frame(self, odometry: Odometry, number: int) -> Pose | None:
         position, rotation = _floats3(odometry.position), _floats4(odometry.rotation)
         if odometry.frame_id == self.frame_id:
@@ -150,13 +156,11 @@ class PoseBuffer:
         moved = rotate(turn, position)
         covariance = None if odometry.covariance is None else turn_covariance(turn, odometry.covariance)
         t = transform.translation
+        placed = t[0] + moved[0], t[1] + moved[1], t[2] + moved[2]
+        if not all(map(math.isfinite, placed)) or not (covariance is None or np.isfinite(covariance).all()):
+            return None  # finite numbers whose sums are not: no transform that covers the pose
         return Pose(
-            odometry.stamp_ns,
-            (t[0] + moved[0], t[1] + moved[1], t[2] + moved[2]),
-            multiply(transform.rotation, rotation),
-            covariance,
-            number,
-            transform.input,
+            odometry.stamp_ns, placed, multiply(transform.rotation, rotation), covariance, number, transform.input
         )
 
     def _jumped(self, old: StampedTransform, new: StampedTransform) -> bool:
@@ -213,7 +217,7 @@ def too_far_apart(poses: Sequence[Pose], max_gap_ns: float) -> bool:
 def too_fast(poses: Sequence[Pose], max_speed: float, max_turn: float) -> bool:
     """Two neighbours that imply more than ``max_speed`` (m/s) or ``max_turn`` (rad/s)."""
     for a, b in pairwise(poses):
-        seconds = (b.stamp_ns - a.stamp_ns) * 1e-9
+        seconds = (b.stamp_ns - a.stamp_ns) / 1e9  # rounded once, so that exactly the largest speed is not above it
         if math.dist(a.position, b.position) > max_speed * seconds:
             return True
         if angle_between(a.rotation, b.rotation) > max_turn * seconds:
