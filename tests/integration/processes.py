@@ -7,7 +7,6 @@ import contextlib
 import io
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -312,9 +311,3 @@ def events_in(directory: Path) -> list[Event]:
 def inputs_in(directory: Path) -> list[Logged]:
     """The log's inputs in order; the first has number 1."""
     return [message for message in read_log(directory) if message.topic.startswith("robots/")]
-
-
-def copy_log(directory: Path, to: Path) -> Path:
-    """A copy of a log as it lies there now."""
-    shutil.copytree(directory, to, ignore=shutil.ignore_patterns(".lock"))
-    return to
