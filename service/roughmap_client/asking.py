@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import zenoh
 
-from roughmap_client.errors import IncompleteAnswer, MixedInstances, NoAnswer, QueryRefused, UnreadableAnswer
+from roughmap_client.errors import IncompleteAnswer, MixedInstances, NoAnswer, QueryRefused, UnreadableAnswer, in_short
 from roughmap_schemas.encodings import UNSAID
 from roughmap_schemas.messages import QueryError
 
@@ -121,7 +121,7 @@ def ask(
             encoding=encoding,
         )
     except zenoh.ZError as error:
-        raise NoAnswer(f"{selector[:200]} could not be asked: {str(error).splitlines()[0][:200]}") from None
+        raise NoAnswer(f"{selector[:200]} could not be asked: {in_short(error)}") from None
     if not ended.wait(timeout + GRACE_S):
         with lock:
             ended.set()
@@ -144,4 +144,5 @@ def open_session(connect: Sequence[str], timeout: float) -> zenoh.Session:
         return zenoh.open(config)
     except zenoh.ZError as error:
         where = ", ".join(connect) or "any router or service found by scouting"
-        raise NoAnswer(f"no connection to {where} within {timeout:g} s ({str(error).splitlines()[0][:120]})") from None
+        cause = str(error).split(" at /")[0][:120]  # not where in Zenoh's own sources it arose
+        raise NoAnswer(f"no connection to {where} within {timeout:g} s ({cause})") from None

@@ -8,6 +8,7 @@ __all__ = [
     "QueryRefused",
     "RoughMapError",
     "UnreadableAnswer",
+    "in_short",
 ]
 
 
@@ -47,3 +48,8 @@ class MixedInstances(RoughMapError):
 
 class UnreadableAnswer(RoughMapError):
     """An answer is not in the contract's form: another program, or a service of another release, answers here."""
+
+
+def in_short(error: Exception) -> str:
+    """What Zenoh says of a failure, without where in its own sources it arose (" at /.../file.rs:12")."""
+    return str(error).split("\n", 1)[0].split(" at /", 1)[0][:200]

@@ -9,7 +9,7 @@ from typing import Self
 import zenoh
 
 from roughmap_client.answers import Tile
-from roughmap_client.errors import NoAnswer, RoughMapError
+from roughmap_client.errors import NoAnswer, RoughMapError, in_short
 
 log = logging.getLogger(__name__)
 
@@ -43,7 +43,7 @@ class Watch:
         try:
             self._subscriber = session.declare_subscriber(key, zenoh.handlers.Callback(self._take, indirect=False))
         except zenoh.ZError as error:
-            raise NoAnswer(f"{key} can't be watched: {str(error).splitlines()[0][:200]}") from None
+            raise NoAnswer(f"{key} can't be watched: {in_short(error)}") from None
         self._thread.start()
 
     def close(self) -> None:

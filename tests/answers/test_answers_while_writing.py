@@ -1,7 +1,7 @@
 """Answers while a writer goes on: each is all of one state of the map, whatever was asked and whenever."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -15,20 +15,25 @@ FIRST = 5 * 1500
 BOX = "-60,-60,60,60"
 
 
+POINT = {"map": {"name": "site", "error_model": "point", "levels": 3}}
+"""With `point` each point counts in one cell: the sum over the map tells how many scans are in it."""
+
+
+def scattered(rng: np.random.Generator) -> np.ndarray:
+    """`SCAN` points over all of the ground that is known already."""
+    x, y = rng.uniform(-20.0, 20.0, (2, SCAN))
+    return np.column_stack([x, y, rng.normal(0.0, 0.1, SCAN)])
+
+
 @contextmanager
-def writing(served: Served) -> Iterator[None]:
-    """Scan after scan, each of `SCAN` points over all of the ground that is known already."""
-    stop, failed = threading.Event(), []
+def writing(served: Served, scan: Callable[[np.random.Generator], np.ndarray]) -> Iterator[None]:
+    """Scan after scan, as fast as they are taken."""
+    stop = threading.Event()
 
     def write() -> None:
         rng = np.random.default_rng(2)
         while not stop.is_set():
-            try:
-                x, y = rng.uniform(-20.0, 20.0, (2, SCAN))
-                served.add(np.column_stack([x, y, rng.normal(0.0, 0.1, SCAN)]))
-            except BaseException as error:
-                failed.append(error)
-                raise
+            served.add(scan(rng))
 
     thread = threading.Thread(target=write)
     thread.start()
@@ -38,14 +43,11 @@ def writing(served: Served) -> Iterator[None]:
         stop.set()
         thread.join(WAIT_S)
     assert not thread.is_alive()
-    assert not failed
 
 
 @pytest.fixture(scope="module")
 def served() -> Iterator[Served]:
-    """With `point` each point counts in one cell: the sum over the map tells how many scans are in it."""
-    settings = {"map": {"name": "site", "error_model": "point", "levels": 3}}
-    with Served(settings=settings) as served, writing(served):
+    with Served(settings=POINT) as served, writing(served, scattered):
         yield served
 
 
@@ -84,34 +86,36 @@ def test_regions_are_of_one_sequence(served: Served, level: int) -> None:
         assert region.info["known_cells"] == np.count_nonzero(region.layers()["count"])
 
 
-def test_cells_are_of_the_sequence_that_they_name(served: Served) -> None:
-    """One point a scan falls into each of these cells: the counts of all rise together."""
-    places = [[x + 0.05, 300.05] for x in range(20)]
-    first = served.add(np.array([[x, y, 1.0] for x, y in places]))
-    for number in range(6):
-        answer = get(served.asker, "maps/site/cells", str(places).encode()).json()
-        counts = {cell["state"]["count"] for cell in answer["cells"]}
-        assert counts == {number + 1}
-        assert answer["sequence"] >= first
-        first = served.add(np.array([[x, y, 1.0] for x, y in places]))
+def test_cells_are_of_the_sequence_that_they_name() -> None:
+    """One point a scan falls into each of these cells: the counts of all are the number of scans."""
+    places = [[25.0 * x + 0.05, 300.05] for x in range(20)]  # in as many tiles
+    scan = np.array([[x, y, 1.0] for x, y in places])
+    with Served(settings=POINT) as served:
+        served.add(scan)
+        with writing(served, lambda _: scan):
+            for _ in range(25):
+                answer = get(served.asker, "maps/site/cells", str(places).encode()).json()
+                assert {cell["state"]["count"] for cell in answer["cells"]} == {answer["sequence"] - 5}
 
 
-def test_following_since_misses_nothing(served: Served) -> None:
-    """Tiles taken over by `since`, answer by answer, are those of one whole answer."""
+def test_following_since_misses_nothing() -> None:
+    """What is taken over answer by answer is in the end the map."""
     held: dict[tuple[int, int, int], RawTile] = {}
-    since = 0
-    for _ in range(15):
-        tiles = get(served.asker, f"maps/site/tiles/0/*/*?layers=count;dtype=f8;since={since};epoch=5").tiles()
-        held |= tiles
-        if tiles:
-            since = next(iter(tiles.values())).info["map_sequence"]
-            elsewhere = [tile for tile in held.values() if tile.info["y"] < 30]  # not the cells of the test above
-            extra = [tile for tile in held.values() if tile.info["y"] >= 30]
-            assert count(elsewhere) + count(extra) == count(list(held.values()))
-    whole = {}
-    while not whole or next(iter(whole.values())).info["map_sequence"] != since:
-        tiles = get(served.asker, f"maps/site/tiles/0/*/*?layers=count;dtype=f8;since={since};epoch=5").tiles()
-        held |= tiles
-        if tiles:
-            since = next(iter(tiles.values())).info["map_sequence"]
-        whole = get(served.asker, "maps/site/tiles/0/*/*?layers=count;dtype=f8").tiles()
+    selector, since, answers = "maps/site/tiles/0/*/*?epoch=5;since=", 0, 0
+    with Served(settings=POINT) as served:
+
+        def follow() -> int:
+            tiles = get(served.asker, f"{selector}{since}").tiles()
+            assert all(since < tile.info["sequence"] <= tile.info["map_sequence"] for tile in tiles.values())
+            held.update(tiles)
+            return next((int(tile.info["map_sequence"]) for tile in tiles.values()), since)
+
+        with writing(served, lambda rng: scattered(rng)[:2]):  # few points, so that most tiles stay as they are
+            while answers < 25:
+                since, answers = follow(), answers + 1
+        since = follow()
+        assert since == served.map.sequence > 5
+        with served.map.freeze() as frozen:
+            assert {key: tile.info["digest"] for key, tile in held.items()} == {
+                (0, x, y): frozen.digest(x, y) for x, y in frozen.tiles.tolist()
+            }
