@@ -96,7 +96,10 @@ def _endpoints(value: object) -> object:
     return [] if value == "" else value
 
 
-Endpoint = Annotated[str, Field(min_length=1)]
+ENDPOINT_PATTERN = r"^[a-z][a-z0-9_-]*/.+"
+"""A Zenoh endpoint: protocol/address, and perhaps ?metadata and #settings."""
+
+Endpoint = Annotated[str, Field(pattern=ENDPOINT_PATTERN)]
 Endpoints = Annotated[list[Endpoint], BeforeValidator(_endpoints, json_schema_input_type=list[Endpoint] | Literal[""])]
 
 

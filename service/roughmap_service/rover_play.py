@@ -20,10 +20,15 @@ def recorded_messages(file: Path, robot: str = "rover1", sensor_frame: str = SEN
     place on the robot. A pose at exactly the scan's stamp needs no second one; the covariance is left out (unknown).
     Raises CloudFileFault where the file holds no scans with poses.
     """
-    for scan in read_scans(file):
-        yield _pose(scan, robot)
-        payload = encode_cloud(scan.points, scan.stamp_ns, sensor_frame)
-        yield Message(scan.stamp_ns, "points", payload, robot, scan.stamp_ns)
+    scans = read_scans(file)  # here, not at the first message: a fault of the file is to be heard before anything else
+
+    def messages() -> Iterator[Message]:
+        for scan in scans:
+            yield _pose(scan, robot)
+            payload = encode_cloud(scan.points, scan.stamp_ns, sensor_frame)
+            yield Message(scan.stamp_ns, "points", payload, robot, scan.stamp_ns)
+
+    return messages()
 
 
 def _pose(scan: RecordedScan, robot: str) -> Message:

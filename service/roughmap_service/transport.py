@@ -90,4 +90,5 @@ def lock_file(path: Path) -> Path:
 
 
 def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0][:200]
+    # Zenoh adds where in its own sources an error arose: " at /.../file.rs:12".
+    return str(error).splitlines()[0].split(" at /")[0][:200]

@@ -133,7 +133,7 @@ BAD = [
     ("map", "limits", {"slope": 0}, "greater than 0"),
     ("zenoh", "mode", "mesh", "'peer', 'client' or 'router'"),
     ("zenoh", "listen", "tcp/127.0.0.1:7447", "list"),
-    ("zenoh", "listen", [""], "at least 1"),
+    *(("zenoh", "listen", [value], "must match") for value in ("", "7447", "tcp/", "/127.0.0.1:7447")),
     ("input", "max_wait", -1, "greater than or equal to 0"),
     ("input", "pose_sigma", [0.1] * 5, ""),
     ("input", "pose_sigma", [0.1] * 5 + [-0.1], "greater than or equal to 0"),

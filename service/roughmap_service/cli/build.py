@@ -85,7 +85,7 @@ def build(
         f"{report['accepted']:,} of {points:,} points integrated" + (f"; rejected: {reasons}" if reasons else "")
     )
     if extent := built.extent():
-        click.echo("known ground: x {:g} .. {:g} m, y {:g} .. {:g} m".format(*(extent[k] for k in (0, 2, 1, 3))))
+        click.echo("tiles from x {:g} to {:g} m, y {:g} to {:g} m".format(*(extent[k] for k in (0, 2, 1, 3))))
     click.echo(f"{output}: {built.tile_count} tiles, digest {report['digest']}, in {seconds:.1f} s")
 
 
@@ -101,7 +101,8 @@ def _fill(
     points = 0
     rejected: Counter[str] = Counter()
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("reading")
         for number, file in enumerate(clouds, 1):
             for part in read_cloud(file):

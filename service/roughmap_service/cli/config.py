@@ -19,7 +19,7 @@ def config() -> None:
     """
 
 
-@config.command
+@config.command(short_help="every setting that holds, and whence it came")
 @config_options
 @json_option
 def show(config_path: Path | None, settings: Settings, as_json: bool) -> None:
@@ -39,7 +39,7 @@ def show(config_path: Path | None, settings: Settings, as_json: bool) -> None:
         click.echo(f"{texts[key]:{width}}  # {source}")
 
 
-@config.command
+@config.command(short_help="whether a service could start with it")
 @config_options
 @json_option
 def check(config_path: Path | None, settings: Settings, as_json: bool) -> None:
@@ -59,7 +59,7 @@ def check(config_path: Path | None, settings: Settings, as_json: bool) -> None:
     click.echo(f"{source}: ok; map {loaded.config.map.name!r}; sensors: {sensors}; configuration digest {digest}")
 
 
-@config.command
+@config.command(short_help="its JSON Schema: all that could be set")
 def schema() -> None:
     """roughmap config schema
 

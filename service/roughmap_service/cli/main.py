@@ -66,6 +66,9 @@ def run(arguments: Sequence[str]) -> int:
         return stop.exit_code
     except (click.Abort, KeyboardInterrupt):
         return _complain("interrupted", 130)
+    except _NO_ARGUMENTS as error:
+        click.echo(error.format_message(), err=True)  # the help: more use than a line that says what is missing
+        return error.exit_code
     except click.UsageError as error:
         where = f" (see: {error.ctx.command_path} --help)" if error.ctx is not None else ""
         return _complain(error.format_message() + where, error.exit_code)
@@ -81,6 +84,10 @@ def run(arguments: Sequence[str]) -> int:
             raise  # a fault of our own: the traceback is what helps
         return _complain(_text(error), code)
     return result if isinstance(result, int) else 0
+
+
+_NO_ARGUMENTS: type[click.UsageError] | tuple[()] = getattr(click.exceptions, "NoArgsIsHelpError", ())
+"""What click raises, from 8.2 on, for a group without a command; before, it shows the help by itself."""
 
 
 def _exit_code(error: Exception) -> int | None:
@@ -104,7 +111,7 @@ _LATE = (
     ("roughmap_service.clouds_in", "CloudFileFault", 2),
     ("roughmap_service.store", "StoreError", 2),
     ("roughmap_service.log_reader", "LogError", 2),
-    ("roughmap_service.apply", "RunError", 2),
+    ("roughmap_service.apply", "RunError", 1),
     ("roughmap_service.recovery", "IdentityError", 2),
     ("roughmap_service.replay", "ReplayError", 2),
     ("roughmap_service.transport", "TransportError", 1),

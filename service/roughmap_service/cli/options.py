@@ -3,6 +3,7 @@
 import importlib
 import json
 import os
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
@@ -11,6 +12,7 @@ from typing import Any, TypeVar
 import click
 
 from roughmap_schemas.config_load import LoadedConfig, load_config
+from roughmap_schemas.sections import ENDPOINT_PATTERN
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -74,8 +76,17 @@ def config_options(function: F) -> F:
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON, for another program.")
 
+
+def endpoint(text: str) -> str:
+    """A Zenoh endpoint, `PROTOCOL/ADDRESS`."""
+    if not re.match(ENDPOINT_PATTERN, text):
+        raise click.BadParameter(f"{text!r}: expected PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447")
+    return text
+
+
 connect_option = click.option(
     "--connect",
+    type=endpoint,
     multiple=True,
     metavar="ENDPOINT",
     help="Zenoh endpoint of the service or router, such as tcp/127.0.0.1:7447; may be given several times.",

@@ -10,6 +10,7 @@ import click
 from roughmap_service.cli.options import (
     DEFAULT_ENDPOINT,
     BadUse,
+    Failure,
     bounding_box,
     config_options,
     connect_option,
@@ -20,6 +21,10 @@ from roughmap_service.cli.options import (
 
 if TYPE_CHECKING:
     from roughmap_client import Region
+    from roughmap_schemas.sections import ZenohConfig
+
+PASSING = frozenset({"busy", "shutting_down", "internal"})
+"""Refusals that are the service's own; all others are of what was asked."""
 
 Stats = dict[str, float | int | None]
 
@@ -57,7 +62,8 @@ def query(
     Ask a service that is up for a rectangle of its map. Prints, for each layer, how many cells are known and what
     they hold; --npz keeps the arrays (row 0 at the lowest y, NaN where unknown) with origin, cell_size and sequence.
     """
-    from roughmap_client import RoughMapClient
+    from roughmap_client import NoAnswer, QueryRefused, RoughMapClient
+    from roughmap_client.errors import BadArgument
     from roughmap_schemas.layers import LAYERS
 
     names = [name.strip() for name in layers.split(",")]
@@ -67,11 +73,19 @@ def query(
     draw = load_pictures().draw if png is not None else None  # before asking: say at once what is missing
     config = load(config_path, settings).config
     name = map_name or config.map.name
+    endpoints = _endpoints(connect, config.zenoh)
     begun = time.perf_counter()
-    with RoughMapClient(name, connect=_endpoints(connect, config.zenoh.listen), timeout=timeout) as client:
-        asked = time.perf_counter()
-        region = client.region(bbox, names, level=level, tolerance=tolerance)
-        answered = time.perf_counter()
+    try:
+        with RoughMapClient(name, connect=endpoints, timeout=timeout, keys=config.keys) as client:
+            asked = time.perf_counter()
+            region = client.region(bbox, names, level=level, tolerance=tolerance)
+            answered = time.perf_counter()
+    except NoAnswer as error:
+        raise Failure(f"{error}; is `roughmap serve` up there, with the map {name!r}? (--connect, --map)") from error
+    except BadArgument as error:
+        raise BadUse(str(error)) from error
+    except QueryRefused as error:
+        raise (Failure if error.code in PASSING else BadUse)(f"the service refused: {error}") from error
     if npz is not None:
         _save(npz, region, names)
     if draw is not None and png is not None:
@@ -94,10 +108,10 @@ def query(
         _table(report)
 
 
-def _endpoints(connect: tuple[str, ...], listen: list[str]) -> list[str]:
-    """What was given, else where the configured service listens, if its ports are known."""
-    known = [endpoint for endpoint in listen if not endpoint.endswith(":0")]
-    return list(connect) or known or [DEFAULT_ENDPOINT]
+def _endpoints(connect: tuple[str, ...], zenoh: "ZenohConfig") -> list[str]:
+    """What was given, else where the configured service listens, if its ports are known, else the router it joins."""
+    known = [endpoint for endpoint in zenoh.listen if not endpoint.endswith(":0")]
+    return list(connect) or known or zenoh.connect or [DEFAULT_ENDPOINT]
 
 
 def _save(file: Path, region: "Region", names: list[str]) -> None:

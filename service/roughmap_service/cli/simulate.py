@@ -71,10 +71,8 @@ def simulate(
       min_range = 0.5
 
     With --from, the scans of a file are published with their poses as odometry. There the robot is the sensor:
-    leave `translation` out.
+    leave `translation` out. Millimetres or metres, one robot: what `roughmap build --help` says of scans in an NPZ.
     """
-    import zenoh
-
     from roughmap_service.rover import rovers
     from roughmap_service.rover_play import recorded_messages
     from roughmap_service.rover_publish import NobodyListens, RoverPublisher, merged
@@ -91,7 +89,7 @@ def simulate(
     endpoints = list(connect) or [DEFAULT_ENDPOINT]
     begun = time.monotonic()
     with (
-        zenoh.open(_session_config(endpoints)) as session,
+        _session(endpoints) as session,
         RoverPublisher(session, names, patient=recording is not None or rate != 1) as publisher,
     ):
         try:
@@ -102,7 +100,7 @@ def simulate(
     _report(published, time.monotonic() - begun, as_json)
 
 
-def _session_config(endpoints: list[str]) -> "zenoh.Config":
+def _session(endpoints: list[str]) -> "zenoh.Session":
     import zenoh
 
     config = zenoh.Config()
@@ -110,7 +108,11 @@ def _session_config(endpoints: list[str]) -> "zenoh.Config":
     config.insert_json5("connect/endpoints", json.dumps(endpoints))
     config.insert_json5("listen/endpoints", "[]")
     config.insert_json5("scouting/multicast/enabled", "false")
-    return config
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        cause = str(error).split(" at /")[0]  # not where in Zenoh's own sources it arose
+        raise Failure(f"no connection to {', '.join(endpoints)} ({cause}); see --connect") from error
 
 
 def _play(
@@ -121,7 +123,8 @@ def _play(
 
     stop = threading.Event()
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("publishing", total=seconds)
         first_ns: int | None = None
 
