@@ -1,0 +1,94 @@
+"""What the answer queue outlives: jobs that fail, and ones that never end."""
+
+import logging
+import threading
+
+import pytest
+from net import WAIT_S, wait_for
+
+from roughmap_schemas import QueryFault
+from roughmap_service.answer_queue import SMALL_CELLS, AnswerQueue
+
+
+def never(fault: QueryFault) -> None:
+    raise AssertionError(f"refused: {fault}")
+
+
+def test_a_job_that_fails_does_not_take_its_thread_along(caplog: pytest.LogCaptureFixture) -> None:
+    done = threading.Event()
+
+    def fail() -> None:
+        raise KeyError("of the job")
+
+    with AnswerQueue("t", 1, 10, 100) as queue, caplog.at_level(logging.ERROR):
+        queue.submit(100, fail, never)
+        queue.submit(100, done.set, never)  # it also needs the room that the first had
+        wait_for(done, "the job after it")
+    assert "of the job" in caplog.text
+
+
+def test_the_end_waits_for_a_stuck_job_once_and_in_bounded_time() -> None:
+    """A reader that stalls holds its thread; closing again, as the stack of contexts does, adds no second wait."""
+    entered, leave = threading.Event(), threading.Event()
+    queue = AnswerQueue("t", 1, 10, 100)
+    with queue:
+
+        def stuck() -> None:
+            entered.set()
+            leave.wait(WAIT_S)
+
+        queue.submit(1, stuck, never)
+        wait_for(entered, "the job")
+        queue.close(timeout=0.05)
+        assert queue._end < float("inf")
+        end = queue._end
+        queue.close(timeout=WAIT_S)
+        assert queue._end == end
+    assert [thread.is_alive() for thread in queue._threads] == [True]
+    leave.set()
+    queue._threads[0].join(WAIT_S)
+    assert not queue._threads[0].is_alive()
+
+
+def test_a_large_one_comes_though_small_ones_keep_coming() -> None:
+    """Each small one asks for the next before it ends: the large one waits for a bounded number of them."""
+    done, order = threading.Event(), []
+    places = 40
+    with AnswerQueue("t", 2, 10, 10**9) as queue:
+
+        def small() -> None:
+            order.append("small")
+            if not done.is_set() and len(order) < 100_000:
+                queue.submit(1, small, lambda _: None)
+
+        def large() -> None:
+            order.append("large")
+            done.set()
+
+        for _ in range(3):
+            queue.submit(1, small, lambda _: None)
+        queue.submit(places * SMALL_CELLS, large, never)
+        wait_for(done, "the large one")
+    assert order.count("large") == 1
+
+
+def test_a_large_one_that_does_not_fit_is_not_passed_for_ever() -> None:
+    """While something always runs there is never room for it, unless the others let it have some."""
+    done, order = threading.Event(), []
+    with AnswerQueue("t", 3, 10, 2 * SMALL_CELLS) as queue:
+
+        def small() -> None:
+            order.append("small")
+            if not done.is_set() and len(order) < 100_000:
+                queue.submit(SMALL_CELLS, small, lambda _: None)
+
+        def large() -> None:
+            order.append("large")
+            done.set()
+
+        for _ in range(3):
+            queue.submit(SMALL_CELLS, small, lambda _: None)
+        queue.submit(3 * SMALL_CELLS, large, never)
+        wait_for(done, "the large one")
+    assert order.count("large") == 1
+    assert len(order) < 100_000, "it did not wait for the small ones to run out"
