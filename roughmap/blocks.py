@@ -52,7 +52,7 @@ def scan_blocks(
         bx, by, bz, why = x[first:last], y[first:last], z[first:last], reason[first:last]
         if moving:
             place_moving(
-                bx, by, bz, why, offsets[first:last], bracket, S, model != POINT, stamp, way, max_gap_ns, rules
+                bx, by, bz, why, offsets[first:last], bracket, levers, S, model != POINT, stamp, way, max_gap_ns, rules
             )
         else:
             place_still(bx, by, bz, why, levers, S, model != POINT, posed, pose, rules)

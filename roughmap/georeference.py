@@ -4,7 +4,7 @@ import numpy as np
 
 from roughmap.arrays import F8, U1
 from roughmap.jit import kernel
-from roughmap.place import BLOCK, place_moving, place_still, pose_at, split
+from roughmap.place import BLOCK, LEVERS, place_moving, place_still, pose_at, split
 from roughmap.scan import Limits, Noise, Scan, point_rules
 from roughmap.trajectory import Trajectory
 
@@ -41,7 +41,7 @@ def georeference(scan: Scan, trajectory: Trajectory, noise: Noise, limits: Limit
     x, y, z = np.empty(number), np.empty(number), np.empty(number)
     reason = np.zeros(number, np.uint8)
     points, covariance = np.empty((number, 3)), np.empty((number, 3, 3))
-    levers, S, bracket = np.empty((7, BLOCK)), np.empty((6, BLOCK)), np.empty(BLOCK, np.int64)
+    levers, S, bracket = np.empty((LEVERS, BLOCK)), np.empty((6, BLOCK)), np.empty(BLOCK, np.int64)
     split(scan.points, 0, number, x, y, z)
     way, gap = trajectory.arrays, limits.max_gap_ns
     rules = point_rules(scan, noise, limits)
@@ -52,6 +52,6 @@ def georeference(scan: Scan, trajectory: Trajectory, noise: Noise, limits: Limit
         if scan.offsets_ns is None:
             place_still(*planes, levers, S, True, posed, pose, rules)
         else:
-            place_moving(*planes, scan.offsets_ns[part], bracket, S, True, scan.stamp_ns, way, gap, rules)
+            place_moving(*planes, scan.offsets_ns[part], bracket, levers, S, True, scan.stamp_ns, way, gap, rules)
         _fill(*planes, S, start, points, covariance)
     return points, covariance, reason

@@ -11,10 +11,24 @@ import numpy.typing as npt
 from roughmap.arrays import F8, I8, U1, Scalar
 from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS, PointReason
 from roughmap.jit import inline, kernel
-from roughmap.trajectory import find_bracket, interpolate
+from roughmap.propagation import point_covariance, spread, turn
+from roughmap.trajectory import (
+    covariance_at,
+    find_bracket,
+    interpolate,
+    pose_pair,
+    position_at,
+    quaternion_at,
+    rotation_matrix,
+)
 
 BLOCK = 256
 """Points that go through the kernels together: their planes stay in the first-level cache."""
+
+LEVERS = 12
+"""Planes of a block between its places and its covariances: both levers, the squared range, and, where each point has
+a time of its own, the part of the way between two poses and the quaternion. Few,
+and filled in three loops: past 128 pairs of planes that may overlap LLVM gives up vectorising a loop."""
 
 _NOT_FINITE = int(PointReason.NOT_FINITE)
 _NO_RETURN = int(PointReason.NO_RETURN)
@@ -23,121 +37,6 @@ _NO_POSE = int(PointReason.NO_POSE)
 _SELF = int(PointReason.SELF)
 _RANGE = int(PointReason.RANGE)
 _CEILING = int(PointReason.CEILING)
-
-
-@inline
-def _turn(m: Scalar, x: Scalar, y: Scalar, z: Scalar) -> Scalar:
-    """The 3x3 matrix in the first nine numbers of ``m``, times a vector."""
-    return (
-        m[0] * x + m[1] * y + m[2] * z,
-        m[3] * x + m[4] * y + m[5] * z,
-        m[6] * x + m[7] * y + m[8] * z,
-    )
-
-
-@inline
-def _turned_diagonal(r: Scalar, a: Scalar, b: Scalar, c: Scalar) -> Scalar:
-    """Upper triangle of R diag(a, b, c) R^T."""
-    return (
-        r[0] * r[0] * a + r[1] * r[1] * b + r[2] * r[2] * c,
-        r[0] * r[3] * a + r[1] * r[4] * b + r[2] * r[5] * c,
-        r[0] * r[6] * a + r[1] * r[7] * b + r[2] * r[8] * c,
-        r[3] * r[3] * a + r[4] * r[4] * b + r[5] * r[5] * c,
-        r[3] * r[6] * a + r[4] * r[7] * b + r[5] * r[8] * c,
-        r[6] * r[6] * a + r[7] * r[7] * b + r[8] * r[8] * c,
-    )
-
-
-@inline
-def _spread(pose: Scalar, mount: Scalar) -> Scalar:
-    """What of the covariance is the same for all points of a pose, 27 numbers.
-
-    A (6, upper): translation block of S_pose + of S_mount turned into map axes; B (9): translation-rotation block of
-    S_pose; C (6): its rotation block; D (6): rotation block of S_mount in map axes.
-    """
-    shift = _turned_diagonal(pose, mount[0], mount[1], mount[2])
-    tilt = _turned_diagonal(pose, mount[3], mount[4], mount[5])
-    return (
-        pose[12] + shift[0],
-        pose[13] + shift[1],
-        pose[14] + shift[2],
-        pose[18] + shift[3],
-        pose[19] + shift[4],
-        pose[23] + shift[5],
-        pose[15],
-        pose[16],
-        pose[17],
-        pose[20],
-        pose[21],
-        pose[22],
-        pose[24],
-        pose[25],
-        pose[26],
-        pose[27],
-        pose[28],
-        pose[29],
-        pose[30],
-        pose[31],
-        pose[32],
-        tilt[0],
-        tilt[1],
-        tilt[2],
-        tilt[3],
-        tilt[4],
-        tilt[5],
-    )
-
-
-@inline
-def _lever_square(c0: Scalar, c1: Scalar, c2: Scalar, c3: Scalar, c4: Scalar, c5: Scalar, l: Scalar) -> Scalar:  # noqa: E741
-    """Upper triangle of K C K^T with K = -[l]x and C given by its upper triangle."""
-    x, y, z = l
-    # D = C K^T, row by row; K^T has the columns (0, lz, -ly), (-lz, 0, lx), (ly, -lx, 0).
-    d01 = c2 * x - c0 * z
-    d02 = c0 * y - c1 * x
-    d10 = c3 * z - c4 * y
-    d11 = c4 * x - c1 * z
-    d12 = c1 * y - c3 * x
-    d20 = c4 * z - c5 * y
-    d21 = c5 * x - c2 * z
-    d22 = c2 * y - c4 * x
-    return (
-        z * d10 - y * d20,
-        z * d11 - y * d21,
-        z * d12 - y * d22,
-        x * d21 - z * d01,
-        x * d22 - z * d02,
-        y * d02 - x * d12,
-    )
-
-
-@inline
-def _covariance(l: Scalar, m: Scalar, square: Scalar, beam: Scalar, s: Scalar) -> Scalar:  # noqa: E741
-    """Upper triangle of S (eq. 1) from the levers l and l_m, the squared range, and the pose's `_spread`."""
-    sr = beam[0] + beam[1] * math.sqrt(square)
-    across = beam[2] * beam[2] * square
-    along = (sr * sr - across) / square
-    x, y, z = l
-    pose = _lever_square(s[15], s[16], s[17], s[18], s[19], s[20], l)
-    mount = _lever_square(s[21], s[22], s[23], s[24], s[25], s[26], m)
-    # B K^T: row i is (b1 z - b2 y, b2 x - b0 z, b0 y - b1 x); S takes it and its transpose.
-    b00 = s[7] * z - s[8] * y
-    b01 = s[8] * x - s[6] * z
-    b02 = s[6] * y - s[7] * x
-    b10 = s[10] * z - s[11] * y
-    b11 = s[11] * x - s[9] * z
-    b12 = s[9] * y - s[10] * x
-    b20 = s[13] * z - s[14] * y
-    b21 = s[14] * x - s[12] * z
-    b22 = s[12] * y - s[13] * x
-    return (
-        across + along * m[0] * m[0] + s[0] + (b00 + b00) + pose[0] + mount[0],
-        along * m[0] * m[1] + s[1] + (b01 + b10) + pose[1] + mount[1],
-        along * m[0] * m[2] + s[2] + (b02 + b20) + pose[2] + mount[2],
-        across + along * m[1] * m[1] + s[3] + (b11 + b11) + pose[3] + mount[3],
-        along * m[1] * m[2] + s[4] + (b12 + b21) + pose[4] + mount[4],
-        across + along * m[2] * m[2] + s[5] + (b22 + b22) + pose[5] + mount[5],
-    )
 
 
 @inline
@@ -169,7 +68,7 @@ def _exclude(x: F8, y: F8, z: F8, reason: U1, mounting: Scalar, boxes: F8) -> No
     for b in range(len(boxes)):
         x0, y0, z0, x1, y1, z1 = boxes[b, 0], boxes[b, 1], boxes[b, 2], boxes[b, 3], boxes[b, 4], boxes[b, 5]
         for n in range(len(x)):
-            v = _turn(mounting, x[n], y[n], z[n])
+            v = turn(mounting, x[n], y[n], z[n])
             bx = mounting[9] + v[0]
             by = mounting[10] + v[1]
             bz = mounting[11] + v[2]
@@ -193,7 +92,7 @@ def place_still(
     """One block of points, all placed with one pose (or none: ``posed`` False).
 
     ``x``, ``y``, ``z``: in the sensor's frame, turned into the map's in place; of rejected points they say nothing.
-    ``reason`` is set. ``S`` (6, BLOCK): upper triangles of the covariances. ``levers`` (7, BLOCK) is scratch.
+    ``reason`` is set. ``S`` (6, BLOCK): upper triangles of the covariances. ``levers`` (LEVERS, BLOCK) is scratch.
     ``rules``: what `point_rules` gives.
     """
     mounting, beam, mount, limits, boxes = rules
@@ -203,9 +102,9 @@ def place_still(
     _exclude(x, y, z, reason, mounting, boxes)
     for n in range(size):
         px, py, pz = x[n], y[n], z[n]
-        v = _turn(mounting, px, py, pz)
-        l = _turn(pose, mounting[9] + v[0], mounting[10] + v[1], mounting[11] + v[2])  # noqa: E741
-        m = _turn(pose, v[0], v[1], v[2])
+        v = turn(mounting, px, py, pz)
+        l = turn(pose, mounting[9] + v[0], mounting[10] + v[1], mounting[11] + v[2])  # noqa: E741
+        m = turn(pose, v[0], v[1], v[2])
         square = px * px + py * py + pz * pz
         reason[n] = _judge(reason[n], px, py, pz, square, m, limits)
         x[n] = pose[9] + l[0]
@@ -219,17 +118,91 @@ def place_still(
         levers[5, n] = m[2]
         levers[6, n] = square
     if with_covariance:
-        spread = _spread(pose, mount)
+        common = spread(pose, mount)
         for n in range(size):
             l = (levers[0, n], levers[1, n], levers[2, n])  # noqa: E741
             m = (levers[3, n], levers[4, n], levers[5, n])
-            s = _covariance(l, m, levers[6, n], beam, spread)
+            s = point_covariance(l, m, levers[6, n], beam, common)
             S[0, n] = s[0]
             S[1, n] = s[1]
             S[2, n] = s[2]
             S[3, n] = s[3]
             S[4, n] = s[4]
             S[5, n] = s[5]
+
+
+@inline
+def _find_pairs(offsets: I8, bracket: I8, reason: U1, stamp: Scalar, stamps: I8, max_gap_ns: Scalar) -> None:
+    """The bracket of each point's own time: 2 * index, + 1 if it is that pose's own stamp, or -1 with a reason."""
+    hint = np.int64(-1)
+    for n in range(len(offsets)):
+        off = (offsets[n] < 0) | (offsets[n] > OFFSET_LIMIT_NS) | (stamp + offsets[n] >= STAMP_LIMIT_NS)
+        bracket[n] = -1
+        if off:
+            reason[n] = _TIME
+        else:
+            found = find_bracket(stamps, stamp + offsets[n], hint, max_gap_ns)
+            hint = found if found >= 0 else hint
+            reason[n] = 0 if found >= 0 else np.uint8(_NO_POSE)
+            if found >= 0:
+                bracket[n] = 2 * found + (np.int64(1) if stamps[found] == stamp + offsets[n] else np.int64(0))
+
+
+@inline
+def _turn_run(pair: Scalar, offsets: I8, levers: F8, stamp: Scalar) -> None:
+    """Rotations of points whose times lie in one bracket; rows 7-11 of ``levers``."""
+    for n in range(len(offsets)):
+        q, u = quaternion_at(pair, stamp + offsets[n])
+        levers[7, n] = u
+        levers[8, n] = q[0]
+        levers[9, n] = q[1]
+        levers[10, n] = q[2]
+        levers[11, n] = q[3]
+
+
+@inline
+def _place_run(pair: Scalar, x: F8, y: F8, z: F8, reason: U1, levers: F8, rules: Scalar) -> None:
+    """Positions and reasons of points that `_turn_run` has turned; rows 0-6 of ``levers``."""
+    mounting, _, _, limits, _ = rules
+    for n in range(len(x)):
+        px, py, pz = x[n], y[n], z[n]
+        v = turn(mounting, px, py, pz)
+        r = rotation_matrix(levers[8, n], levers[9, n], levers[10, n], levers[11, n])
+        l = turn(r, mounting[9] + v[0], mounting[10] + v[1], mounting[11] + v[2])  # noqa: E741
+        m = turn(r, v[0], v[1], v[2])
+        square = px * px + py * py + pz * pz
+        reason[n] = _judge(reason[n], px, py, pz, square, m, limits)
+        p = position_at(pair, levers[7, n])
+        x[n] = p[0] + l[0]
+        y[n] = p[1] + l[1]
+        z[n] = p[2] + l[2]
+        levers[0, n] = l[0]
+        levers[1, n] = l[1]
+        levers[2, n] = l[2]
+        levers[3, n] = m[0]
+        levers[4, n] = m[1]
+        levers[5, n] = m[2]
+        levers[6, n] = square
+
+
+@inline
+def _spread_run(pair: Scalar, levers: F8, S: F8, first: Scalar, size: Scalar, rules: Scalar) -> None:
+    """The covariances, from column ``first`` on, of a run of ``size`` points that `_place_run` has placed."""
+    _, beam, mount, _, _ = rules
+    for n in range(size):
+        l = (levers[0, n], levers[1, n], levers[2, n])  # noqa: E741
+        m = (levers[3, n], levers[4, n], levers[5, n])
+        r = rotation_matrix(levers[8, n], levers[9, n], levers[10, n], levers[11, n])
+        pose = (*r, 0.0, 0.0, 0.0, *covariance_at(pair, levers[7, n]))
+        s = point_covariance(l, m, levers[6, n], beam, spread(pose, mount))
+        # Unsigned: a signed index is tested for being negative, and the loop no longer vectorised.
+        k = np.uint64(first) + np.uint64(n)
+        S[0, k] = s[0]
+        S[1, k] = s[1]
+        S[2, k] = s[2]
+        S[3, k] = s[3]
+        S[4, k] = s[4]
+        S[5, k] = s[5]
 
 
 @kernel
@@ -240,6 +213,7 @@ def place_moving(
     reason: U1,
     offsets: I8,
     bracket: I8,
+    levers: F8,
     S: F8,
     with_covariance: bool,
     stamp: int,
@@ -247,43 +221,33 @@ def place_moving(
     max_gap_ns: float,
     rules: Scalar,
 ) -> None:
-    """One block of points, each placed with the pose at its own time ``stamp + offset``. Otherwise `place_still`."""
-    mounting, beam, mount, limits, boxes = rules
+    """One block of points, each placed with the pose at its own time ``stamp + offset``. Otherwise `place_still`.
+
+    Neighbours mostly lie between the same two poses: run after run of such is worked on by loops without a branch.
+    """
+    mounting, _, _, limits, boxes = rules
     size = len(x)
-    hint = np.int64(-1)
-    for n in range(size):
-        off = (offsets[n] < 0) | (offsets[n] > OFFSET_LIMIT_NS) | (stamp + offsets[n] >= STAMP_LIMIT_NS)
-        bracket[n] = -1
-        if off:
-            reason[n] = _TIME
-        else:
-            found = find_bracket(way[0], stamp + offsets[n], hint, max_gap_ns)
-            bracket[n] = found
-            hint = found if found >= 0 else hint
-            reason[n] = 0 if found >= 0 else np.uint8(_NO_POSE)
+    _find_pairs(offsets, bracket, reason, stamp, way[0], max_gap_ns)
     _exclude(x, y, z, reason, mounting, boxes)
-    for n in range(size):
-        px, py, pz = x[n], y[n], z[n]
-        square = px * px + py * py + pz * pz
-        v = _turn(mounting, px, py, pz)
-        if bracket[n] < 0:
-            reason[n] = _judge(reason[n], px, py, pz, square, v, limits)
-            continue
-        pose = interpolate(way, bracket[n], stamp + offsets[n])
-        l = _turn(pose, mounting[9] + v[0], mounting[10] + v[1], mounting[11] + v[2])  # noqa: E741
-        m = _turn(pose, v[0], v[1], v[2])
-        reason[n] = _judge(reason[n], px, py, pz, square, m, limits)
-        x[n] = pose[9] + l[0]
-        y[n] = pose[10] + l[1]
-        z[n] = pose[11] + l[2]
-        if with_covariance:
-            s = _covariance(l, m, square, beam, _spread(pose, mount))
-            S[0, n] = s[0]
-            S[1, n] = s[1]
-            S[2, n] = s[2]
-            S[3, n] = s[3]
-            S[4, n] = s[4]
-            S[5, n] = s[5]
+    first = 0
+    while first < size:
+        which = bracket[first]
+        stop = first + 1
+        while stop < size and bracket[stop] == which:
+            stop += 1
+        if which >= 0:
+            pair = pose_pair(way, which >> 1, which & 1 == 1)
+            part = slice(first, stop)
+            _turn_run(pair, offsets[part], levers, stamp)
+            _place_run(pair, x[part], y[part], z[part], reason[part], levers, rules)
+            if with_covariance:
+                _spread_run(pair, levers, S, first, stop - first, rules)
+        else:
+            for n in range(first, stop):
+                px, py, pz = x[n], y[n], z[n]
+                v = turn(mounting, px, py, pz)
+                reason[n] = _judge(reason[n], px, py, pz, px * px + py * py + pz * pz, v, limits)
+        first = stop
 
 
 @kernel

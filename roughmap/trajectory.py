@@ -88,68 +88,141 @@ def find_bracket(stamps: I8, t: Scalar, hint: Scalar, max_gap_ns: Scalar) -> Sca
 
 
 @inline
-def interpolate(way: Scalar, low: Scalar, t: Scalar) -> Scalar:
-    """The pose at ``t`` in the bracket that begins at ``low``: 33 numbers, R (9), t (3), covariance (21, `UPPER`).
+def pose_pair(way: Scalar, low: Scalar, exact: Scalar) -> Scalar:
+    """What `quaternion_at`, `position_at` and `covariance_at` take: the poses around times that have one bracket.
 
-    ``way``: `Trajectory.arrays`.
-
-    Position and covariance linear, rotation slerp:
-    q = (1 - u) sinc((1 - u) th) / sinc(th) q0 + u sinc(u th) / sinc(th) q1, then normalised.
+    ``way``: `Trajectory.arrays`. ``exact``: the times are the stamp of ``low``, and there may be no next pose.
     """
     stamps, position, rotation, covariance, theta, flip, inverse_sinc = way
-    high = low
-    u = 0.0
-    w0 = 1.0
-    w1 = 0.0
-    if stamps[low] != t:
-        high = low + 1
-        u = float(t - stamps[low]) / float(stamps[high] - stamps[low])
-        rest = float(stamps[high] - t) / float(stamps[high] - stamps[low])
-        a0 = rest * theta[low]
-        a1 = u * theta[low]
-        w0 = rest * sinc_of_square(a0 * a0) * inverse_sinc[low]
-        w1 = u * sinc_of_square(a1 * a1) * inverse_sinc[low] * flip[low]
-    qx = w0 * rotation[low, 0] + w1 * rotation[high, 0]
-    qy = w0 * rotation[low, 1] + w1 * rotation[high, 1]
-    qz = w0 * rotation[low, 2] + w1 * rotation[high, 2]
-    qw = w0 * rotation[low, 3] + w1 * rotation[high, 3]
-    norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
-    r = rotation_matrix(qx / norm, qy / norm, qz / norm, qw / norm)
-    p = position
-    c = covariance
+    high = low if exact else low + 1
+    # Without a next pose nothing is read of the bracket, and the two weights are 1 and 0.
+    turn = (0.0, 1.0, 1.0) if exact else (theta[low], flip[low], inverse_sinc[low])
+    p, q, c = position, rotation, covariance
     return (
-        *r,
-        p[low, 0] + (p[high, 0] - p[low, 0]) * u,
-        p[low, 1] + (p[high, 1] - p[low, 1]) * u,
-        p[low, 2] + (p[high, 2] - p[low, 2]) * u,
-        *_blend(c, low, high, u),
+        (stamps[low], stamps[high], float(stamps[high] - stamps[low]), exact),
+        turn,
+        ((q[low, 0], q[low, 1], q[low, 2], q[low, 3]), (q[high, 0], q[high, 1], q[high, 2], q[high, 3])),
+        ((p[low, 0], p[low, 1], p[low, 2]), (p[high, 0] - p[low, 0], p[high, 1] - p[low, 1], p[high, 2] - p[low, 2])),
+        (_row(c, low), _rise(c, low, high)),
     )
 
 
 @inline
-def _blend(c: F8, low: Scalar, high: Scalar, u: Scalar) -> Scalar:
+def quaternion_at(pair: Scalar, t: Scalar) -> Scalar:
+    """The rotation at ``t``, a unit quaternion, and how far ``t`` is on the way to the second pose, 0 to 1.
+
+    Slerp: q = (1 - u) sinc((1 - u) th) / sinc(th) q0 + u sinc(u th) / sinc(th) q1, then normalised.
+    """
+    (before, after, span, exact), (theta, flip, inverse_sinc), (q0, q1), _, _ = pair
+    u = 0.0 if exact else float(t - before) / span
+    rest = float(after - t) / span
+    a0 = rest * theta
+    a1 = u * theta
+    w0 = 1.0 if exact else rest * sinc_of_square(a0 * a0) * inverse_sinc
+    w1 = 0.0 if exact else u * sinc_of_square(a1 * a1) * inverse_sinc * flip
+    qx = w0 * q0[0] + w1 * q1[0]
+    qy = w0 * q0[1] + w1 * q1[1]
+    qz = w0 * q0[2] + w1 * q1[2]
+    qw = w0 * q0[3] + w1 * q1[3]
+    norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
+    return (qx / norm, qy / norm, qz / norm, qw / norm), u
+
+
+@inline
+def position_at(pair: Scalar, u: Scalar) -> Scalar:
+    """The position, linear between the two poses."""
+    start, rise = pair[3]
+    return start[0] + rise[0] * u, start[1] + rise[1] * u, start[2] + rise[2] * u
+
+
+@inline
+def covariance_at(pair: Scalar, u: Scalar) -> Scalar:
+    """The covariance (21, `UPPER`), linear between the two poses."""
+    c, d = pair[4]
     return (
-        c[low, 0] + (c[high, 0] - c[low, 0]) * u,
-        c[low, 1] + (c[high, 1] - c[low, 1]) * u,
-        c[low, 2] + (c[high, 2] - c[low, 2]) * u,
-        c[low, 3] + (c[high, 3] - c[low, 3]) * u,
-        c[low, 4] + (c[high, 4] - c[low, 4]) * u,
-        c[low, 5] + (c[high, 5] - c[low, 5]) * u,
-        c[low, 6] + (c[high, 6] - c[low, 6]) * u,
-        c[low, 7] + (c[high, 7] - c[low, 7]) * u,
-        c[low, 8] + (c[high, 8] - c[low, 8]) * u,
-        c[low, 9] + (c[high, 9] - c[low, 9]) * u,
-        c[low, 10] + (c[high, 10] - c[low, 10]) * u,
-        c[low, 11] + (c[high, 11] - c[low, 11]) * u,
-        c[low, 12] + (c[high, 12] - c[low, 12]) * u,
-        c[low, 13] + (c[high, 13] - c[low, 13]) * u,
-        c[low, 14] + (c[high, 14] - c[low, 14]) * u,
-        c[low, 15] + (c[high, 15] - c[low, 15]) * u,
-        c[low, 16] + (c[high, 16] - c[low, 16]) * u,
-        c[low, 17] + (c[high, 17] - c[low, 17]) * u,
-        c[low, 18] + (c[high, 18] - c[low, 18]) * u,
-        c[low, 19] + (c[high, 19] - c[low, 19]) * u,
-        c[low, 20] + (c[high, 20] - c[low, 20]) * u,
+        c[0] + d[0] * u,
+        c[1] + d[1] * u,
+        c[2] + d[2] * u,
+        c[3] + d[3] * u,
+        c[4] + d[4] * u,
+        c[5] + d[5] * u,
+        c[6] + d[6] * u,
+        c[7] + d[7] * u,
+        c[8] + d[8] * u,
+        c[9] + d[9] * u,
+        c[10] + d[10] * u,
+        c[11] + d[11] * u,
+        c[12] + d[12] * u,
+        c[13] + d[13] * u,
+        c[14] + d[14] * u,
+        c[15] + d[15] * u,
+        c[16] + d[16] * u,
+        c[17] + d[17] * u,
+        c[18] + d[18] * u,
+        c[19] + d[19] * u,
+        c[20] + d[20] * u,
+    )
+
+
+@inline
+def interpolate(way: Scalar, low: Scalar, t: Scalar) -> Scalar:
+    """The pose at ``t`` in the bracket that begins at ``low``: 33 numbers, R (9), t (3), covariance (21, `UPPER`)."""
+    pair = pose_pair(way, low, way[0][low] == t)
+    q, u = quaternion_at(pair, t)
+    return (*rotation_matrix(*q), *position_at(pair, u), *covariance_at(pair, u))
+
+
+@inline
+def _row(c: F8, low: Scalar) -> Scalar:
+    return (
+        c[low, 0],
+        c[low, 1],
+        c[low, 2],
+        c[low, 3],
+        c[low, 4],
+        c[low, 5],
+        c[low, 6],
+        c[low, 7],
+        c[low, 8],
+        c[low, 9],
+        c[low, 10],
+        c[low, 11],
+        c[low, 12],
+        c[low, 13],
+        c[low, 14],
+        c[low, 15],
+        c[low, 16],
+        c[low, 17],
+        c[low, 18],
+        c[low, 19],
+        c[low, 20],
+    )
+
+
+@inline
+def _rise(c: F8, low: Scalar, high: Scalar) -> Scalar:
+    return (
+        c[high, 0] - c[low, 0],
+        c[high, 1] - c[low, 1],
+        c[high, 2] - c[low, 2],
+        c[high, 3] - c[low, 3],
+        c[high, 4] - c[low, 4],
+        c[high, 5] - c[low, 5],
+        c[high, 6] - c[low, 6],
+        c[high, 7] - c[low, 7],
+        c[high, 8] - c[low, 8],
+        c[high, 9] - c[low, 9],
+        c[high, 10] - c[low, 10],
+        c[high, 11] - c[low, 11],
+        c[high, 12] - c[low, 12],
+        c[high, 13] - c[low, 13],
+        c[high, 14] - c[low, 14],
+        c[high, 15] - c[low, 15],
+        c[high, 16] - c[low, 16],
+        c[high, 17] - c[low, 17],
+        c[high, 18] - c[low, 18],
+        c[high, 19] - c[low, 19],
+        c[high, 20] - c[low, 20],
     )
 
 

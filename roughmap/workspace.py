@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from roughmap.index import rehash
-from roughmap.place import BLOCK
+from roughmap.place import BLOCK, LEVERS
 
 _KEPT_POINTS = 1 << 18
 """Planes for more points than this (some 25 MB) are given back after the call that needed them."""
@@ -42,7 +42,7 @@ class ThreadScratch:
     """What one thread needs for itself: a block's covariances, a footprint's shares."""
 
     def __init__(self, side: int) -> None:
-        self.levers = np.empty((7, BLOCK))
+        self.levers = np.empty((LEVERS, BLOCK))
         self.S = np.empty((6, BLOCK))
         self.bracket = np.empty(BLOCK, np.int64)
         self.lines = np.zeros((5, side + 1))
