@@ -112,7 +112,7 @@ class Inbox:
                 if too_fast(poses, self.settings.max_speed, self.settings.max_turn):
                     return Decision(cloud, CloudReason.POSE_JUMP, poses)
                 return Decision(cloud, INTEGRATED, poses)
-        if now - cloud.arrival >= self.settings.max_wait:
+        if now >= cloud.arrival + self.settings.max_wait:  # the same sum as in deadline(), so that then it is due
             return Decision(cloud, CloudReason.NO_POSE)
         return None
 

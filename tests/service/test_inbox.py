@@ -1,0 +1,220 @@
+"""Every rule on clouds: what the inbox decides, when, and in which order."""
+
+import math
+
+import numpy as np
+import pytest
+from service_tools import LEVEL, PRECISE, SECOND, T0, config
+
+from roughmap_schemas import Cloud, CloudReason, Odometry
+from roughmap_service.inbox import INTEGRATED, Decision, Inbox, WaitingCloud
+from roughmap_service.poses import PoseBuffer
+from roughmap_service.settings import Settings
+
+SETTINGS = Settings(
+    config(input={"max_wait": 2.0, "max_pose_gap": 0.5, "pose_history": 10.0, "queue_limit": 1000, "max_speed": 30.0,
+                  "max_turn": 20.0})
+)  # fmt: skip
+
+
+class Desk:
+    """An inbox with its pose buffers; seconds after T0 stand for stamps."""
+
+    def __init__(self) -> None:
+        self.poses: dict[str, PoseBuffer] = {}
+        self.inbox = Inbox(SETTINGS, self.poses)
+        self.inputs = 0
+
+    def pose(self, t: float, x: float = 0.0, robot: str = "a", turn: float = 0.0) -> None:
+        self.inputs += 1
+        if robot not in self.poses:
+            self.poses[robot] = PoseBuffer("map", SETTINGS.history_ns, 1.0, 1.0)
+        rotation = LEVEL if turn == 0.0 else (0.0, 0.0, math.sin(turn / 2), math.cos(turn / 2))
+        message = Odometry(T0 + round(t * SECOND), "map", "base", (x, 0.0, 0.0), rotation, PRECISE)
+        reason, _ = self.poses[robot].add(message, self.inputs)
+        assert reason is None
+
+    def cloud(self, t: float, until: float | None = None, robot: str = "a", now: float = 0.0, *, size: int = 100,
+              ingested: bool = False, frame: str = "lidar") -> int:  # fmt: skip
+        self.inputs += 1
+        first = T0 + round(t * SECOND)
+        last = first if until is None else T0 + round(until * SECOND)
+        held = Cloud(frame, first, np.zeros((1, 3)), None)
+        self.inbox.feed(WaitingCloud(self.inputs, robot, held, first, last, now, size, ingested))
+        return self.inputs
+
+    def tick(self, now: float = 0.0) -> tuple[int, str] | None:
+        decision = self.inbox.tick(now)
+        return None if decision is None else (decision.cloud.input, decision.outcome)
+
+    def all(self, now: float = 0.0) -> list[tuple[int, str]]:
+        return list(iter(lambda: self.tick(now), None))  # type: ignore[arg-type]
+
+
+def test_decided_once_the_poses_around_it_are_in() -> None:
+    desk = Desk()
+    number = desk.cloud(0.1, 0.2)
+    desk.pose(0.1)
+    assert desk.tick() is None
+    desk.pose(0.15)
+    assert desk.tick() is None
+    desk.pose(0.25)
+    decision = desk.inbox.tick(0.0)
+    assert isinstance(decision, Decision)
+    assert (decision.cloud.input, decision.outcome) == (number, INTEGRATED)
+    assert [(p.stamp_ns - T0) / SECOND for p in decision.poses] == [0.1, 0.15, 0.25]
+    assert (desk.inbox.waiting, desk.inbox.size) == (0, 0)
+
+
+def test_an_exact_stamp_needs_no_second_pose() -> None:
+    desk = Desk()
+    desk.pose(0.1)
+    assert desk.all() == []
+    number = desk.cloud(0.1)
+    assert desk.all() == [(number, INTEGRATED)]
+
+
+def test_neighbours_too_far_apart() -> None:
+    desk = Desk()
+    for t in (0.0, 0.5, 1.001):
+        desk.pose(t)
+    within, over = desk.cloud(0.2), desk.cloud(0.6)
+    assert desk.all() == [(within, INTEGRATED), (over, CloudReason.POSE_GAP)]
+
+
+@pytest.mark.parametrize(("x", "turn"), [(3.1, 0.0), (0.0, 2.1)])
+def test_neighbours_that_imply_too_much(x: float, turn: float) -> None:
+    """In 0.1 s: 30 m/s are 3 m, 20 rad/s are 2 rad."""
+    desk = Desk()
+    desk.pose(0.0)
+    desk.pose(0.1, x, turn=turn)
+    desk.pose(0.2, x, turn=turn)
+    jump, after = desk.cloud(0.05), desk.cloud(0.15)
+    assert desk.all() == [(jump, CloudReason.POSE_JUMP), (after, INTEGRATED)]
+
+
+def test_a_gap_is_told_before_a_jump() -> None:
+    desk = Desk()
+    desk.pose(0.0)
+    desk.pose(1.0, 1000.0)
+    number = desk.cloud(0.5)
+    assert desk.all() == [(number, CloudReason.POSE_GAP)]
+
+
+def test_waiting_in_vain() -> None:
+    """The wait is the monotonic clock's, from the cloud's arrival; poses before or after alone don't help."""
+    desk = Desk()
+    number = desk.cloud(0.1, now=50.0)
+    desk.pose(0.0)
+    assert desk.inbox.deadline() == 52.0
+    assert desk.tick(51.999) is None
+    assert desk.tick(52.0) == (number, CloudReason.NO_POSE)
+    assert desk.inbox.deadline() is None
+
+
+def test_poses_that_begin_after_it() -> None:
+    desk = Desk()
+    number = desk.cloud(0.1)
+    desk.pose(0.2)
+    assert desk.tick(1.9) is None
+    assert desk.tick(2.0) == (number, CloudReason.NO_POSE)
+
+
+def test_older_than_the_pose_buffer() -> None:
+    desk = Desk()
+    for t in (0.0, 9.9, 10.1, 20.0):
+        desk.pose(t)
+    late, edge = desk.cloud(9.999), desk.cloud(10.0)
+    assert desk.all() == [(late, CloudReason.LATE), (edge, INTEGRATED)]
+
+
+def test_a_cloud_in_the_maps_frame_waits_for_no_pose() -> None:
+    desk = Desk()
+    number = desk.cloud(0.1, frame="map")
+    assert desk.all() == [(number, INTEGRATED)]
+
+
+def test_order_of_arrival_within_a_robot() -> None:
+    """One that could be decided waits behind one that can't, though it be in the map's frame or timed out."""
+    desk = Desk()
+    first, second, third = desk.cloud(5.0, now=1.0), desk.cloud(0.05, now=0.0), desk.cloud(0.1, frame="map")
+    desk.pose(0.0)
+    desk.pose(0.1)
+    assert desk.tick(2.5) is None
+    assert desk.all(3.0) == [(first, CloudReason.NO_POSE), (second, INTEGRATED), (third, INTEGRATED)]
+
+
+def test_robots_do_not_wait_for_each_other() -> None:
+    desk = Desk()
+    waits = desk.cloud(0.05, robot="a")
+    goes = desk.cloud(0.05, robot="b")
+    desk.pose(0.0, robot="b")
+    desk.pose(0.1, robot="b")
+    assert desk.all() == [(goes, INTEGRATED)]
+    desk.pose(0.0, robot="a")
+    desk.pose(0.1, robot="a")
+    assert desk.all() == [(waits, INTEGRATED)]
+
+
+def test_of_several_robots_the_oldest_first() -> None:
+    desk = Desk()
+    numbers = [desk.cloud(0.05, robot=robot) for robot in ("b", "a", "b", "a")]
+    for robot in ("a", "b"):
+        desk.pose(0.0, robot=robot)
+        desk.pose(0.1, robot=robot)
+    assert [number for number, _ in desk.all()] == numbers
+
+
+def test_another_robots_poses_help_nobody() -> None:
+    desk = Desk()
+    number = desk.cloud(0.05, robot="a")
+    desk.pose(0.0, robot="b")
+    desk.pose(0.1, robot="b")
+    assert desk.all(2.0) == [(number, CloudReason.NO_POSE)]
+
+
+def test_overload_ends_the_oldest_of_the_robot_that_holds_most() -> None:
+    desk = Desk()
+    small = desk.cloud(1.0, robot="small", size=200)
+    first = desk.cloud(1.0, robot="big", size=300)
+    second = desk.cloud(1.1, robot="big", size=400)
+    assert desk.inbox.size == 900
+    assert desk.all() == []
+    last = desk.cloud(1.2, robot="small", size=101)
+    assert desk.all() == [(first, CloudReason.OVERLOAD)]
+    assert desk.inbox.size == 701
+    assert desk.all(2.0) == [(small, CloudReason.NO_POSE), (second, CloudReason.NO_POSE), (last, CloudReason.NO_POSE)]
+
+
+def test_overload_never_ends_an_ingested_cloud() -> None:
+    desk = Desk()
+    promised = [desk.cloud(1.0, robot="big", size=400, ingested=True) for _ in range(2)]
+    assert not desk.inbox.has_room(201)
+    assert desk.inbox.has_room(200)
+    other = desk.cloud(1.0, robot="small", size=150)
+    mine = desk.cloud(1.0, robot="big", size=100)
+    assert desk.all() == [(mine, CloudReason.OVERLOAD)], "the robot that holds most ends its oldest published one"
+    new = desk.cloud(1.0, robot="small", size=100)
+    assert desk.all() == [(other, CloudReason.OVERLOAD)], "where it has none, the next robot does"
+    assert sorted(desk.all(2.0)) == [(number, CloudReason.NO_POSE) for number in sorted([*promised, new])]
+
+
+def test_what_alone_is_too_large_ends_itself() -> None:
+    desk = Desk()
+    number = desk.cloud(1.0, size=1001)
+    assert desk.inbox.deadline() == 0.0, "it is due at once"
+    assert desk.inbox.oldest_input() == number
+    assert desk.all() == [(number, CloudReason.OVERLOAD)]
+
+
+def test_a_reset_clock_ends_all_that_its_robot_waits_with() -> None:
+    desk = Desk()
+    first, other, second = desk.cloud(1.0), desk.cloud(1.0, robot="b"), desk.cloud(1.1, ingested=True)
+    desk.inbox.clock_reset("a")
+    desk.inbox.clock_reset("nobody")
+    after = desk.cloud(0.0)
+    assert desk.inbox.oldest_input() == first
+    assert desk.all() == [(first, CloudReason.CLOCK_RESET), (second, CloudReason.CLOCK_RESET)]
+    assert desk.inbox.oldest_input() == other
+    assert sorted(desk.all(2.0)) == [(other, CloudReason.NO_POSE), (after, CloudReason.NO_POSE)]
+    assert desk.inbox.oldest_input() is None
