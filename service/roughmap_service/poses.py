@@ -157,7 +157,7 @@ class PoseBuffer:
         covariance = None if odometry.covariance is None else turn_covariance(turn, odometry.covariance)
         t = transform.translation
         placed = t[0] + moved[0], t[1] + moved[1], t[2] + moved[2]
-        if not all(map(math.isfinite, placed)) or not (covariance is None or np.isfinite(covariance).all()):
+        if not all(map(math.isfinite, placed)):
             return None  # finite numbers whose sums are not: no transform that covers the pose
         return Pose(
             odometry.stamp_ns, placed, multiply(transform.rotation, rotation), covariance, number, transform.input
