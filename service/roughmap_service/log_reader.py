@@ -1,5 +1,6 @@
 """Reading the log back, in file order, with memory for one chunk at a time."""
 
+import contextlib
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -162,15 +163,22 @@ class RunFile:
 
 
 def find_files(paths: Iterable[Path]) -> list[RunFile]:
-    """The log files among files and folders, ordered by run and index. LogError for a file that is none."""
-    found: list[RunFile] = []
+    """The log files among files and folders, each once, ordered by run and index. LogError for a file that is none.
+
+    A file in a folder whose beginning a kill kept from the disk holds nothing of any run, and is passed over.
+    """
+    found: dict[Path, RunFile] = {}
     for path in paths:
-        files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
         try:
-            found += [RunFile(file, read_metadata(file)) for file in files]
+            if not path.is_dir():
+                found[path.resolve()] = RunFile(path, read_metadata(path))
+                continue
+            for file in path.glob("*.mcap"):
+                with contextlib.suppress(TornLog):
+                    found[file.resolve()] = RunFile(file, read_metadata(file))
         except OSError as error:
-            raise LogError(f"{error.filename}: {error.strerror}") from None
-    return sorted(found, key=lambda file: (file.metadata.run, file.metadata.index))
+            raise LogError(f"{error.filename or path}: {error.strerror or error}") from None
+    return sorted(found.values(), key=lambda file: (file.metadata.run, file.metadata.index, file.path))
 
 
 def one_run(files: Sequence[RunFile]) -> list[RunFile]:
@@ -181,9 +189,12 @@ def one_run(files: Sequence[RunFile]) -> list[RunFile]:
     if len(runs) > 1:
         raise LogError(f"logs of {len(runs)} runs ({', '.join(run[:8] for run in runs)}...): name those of one")
     for before, after in pairwise(files):
-        if after.metadata.index != before.metadata.index + 1:
+        number = before.metadata.index
+        if after.metadata.index == number:
+            raise LogError(f"{before.path} and {after.path} are both file {number} of run {runs[0][:8]}: name one")
+        if after.metadata.index != number + 1:
             raise LogError(
-                f"gap: file {before.metadata.index + 1} of run {runs[0][:8]} is missing "
+                f"gap: file {number + 1} of run {runs[0][:8]} is missing "
                 f"between {before.path.name} and {after.path.name}"
             )
     return list(files)

@@ -113,6 +113,11 @@ class LogWriter:
         return self._file.path
 
     @property
+    def index(self) -> int:
+        """That file's place among the run's, from 0."""
+        return self._metadata.index
+
+    @property
     def size(self) -> int:
         """Bytes of that file that are on the disk."""
         return self._length
@@ -226,7 +231,10 @@ class LogWriter:
         self._release(done)
         for item in done:
             if isinstance(item, Sync):
-                item.done()
+                try:
+                    item.done()
+                except Exception:  # the asker's fault: neither the disk's, nor that of those who asked after it
+                    log.exception("what was to follow on a sync of the log failed")
 
     def _release(self, items: list[Item]) -> None:
         with self._wake:

@@ -1,15 +1,15 @@
 """A run once more: integrates a log again, as its events say, and compares with what was logged."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from dataclasses import replace as with_values
 from pathlib import Path
-from typing import Any
 
-from roughmap_schemas import CheckpointEvent, Config, Event
+from roughmap_schemas import CheckpointEvent, Config, Event, configuration_digest
 
-from .apply import RunState
+from .apply import RunError, RunState
 from .fold import Step, fold
-from .log_reader import EventRecord, FileStart, LogError, RunFile, find_files, one_run, read_run
+from .log_reader import EventRecord, FileStart, LogError, LogItem, RunFile, find_files, one_run, read_run
 from .settings import Settings, new_map
 from .store import Store
 
@@ -20,7 +20,7 @@ class ReplayError(Exception):
 
 @dataclass
 class Replayed:
-    """A replay's end. ``difference`` is None where all that was compared is equal."""
+    """A replay's end. ``difference`` is None where all that was compared is equal; ``config`` is the last file's."""
 
     run: str
     config: Config
@@ -28,7 +28,6 @@ class Replayed:
     checkpoints: int = 0
     events: int = 0
     difference: str | None = None
-    log: dict[str, Any] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
@@ -46,41 +45,66 @@ def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watc
     """Integrate the logs again and compare each event and checkpoint; ends at the first difference.
 
     ``from_store`` is the map.db at whose cut the logs begin, where they don't begin with the run. LogError or
-    ReplayError where the logs are no whole run; RunError where they contradict themselves.
+    ReplayError where the logs are no whole run. An event that can't be done at its place of the log is a difference.
     """
     files = one_run(find_files(paths))
-    config = _config(files[0])
+    config = config_of(files[0])
     state = RunState(Settings(config), new_map(config))
     taken, low_water = _begin(files, state, from_store)
     result = Replayed(files[0].metadata.run, config, state)
-    for step in fold(state, read_run(files), taken=taken, low_water=low_water):
-        result.difference = _compare(step, state, taken)
-        if result.difference is not None:
-            return result
-        if isinstance(step.item, EventRecord):
-            result.events += 1
-            result.checkpoints += isinstance(step.item.event, CheckpointEvent)
-        if watch is not None:
-            watch(step)
+    reached: LogItem | None = None
+
+    def items() -> Iterator[LogItem]:
+        nonlocal reached
+        for reached in read_run(files):  # noqa: UP028 - it is also what a RunError is about
+            yield reached
+
+    try:
+        for step in fold(state, items(), taken=taken, low_water=low_water):
+            result.difference = _compare(step, state, taken)
+            if result.difference is not None:
+                return result
+            if isinstance(step.item, FileStart):
+                result.config = step.item.config
+            elif isinstance(step.item, EventRecord):
+                result.events += 1
+                result.checkpoints += isinstance(step.item.event, CheckpointEvent)
+            if watch is not None:
+                watch(step)
+    except RunError as error:
+        sequence = reached.event.sequence if isinstance(reached, EventRecord) else state.map.sequence
+        result.difference = f"sequence {sequence}: {error}"
+        return result
     if not result.checkpoints:
         raise ReplayError("the logs hold no checkpoint to compare with")
     return result
 
 
 def what_if(
-    paths: Sequence[Path], config: Config, *, watch: Callable[[Step, RunState], None] | None = None
+    paths: Sequence[Path],
+    change: Callable[[Config], Config] = lambda config: config,
+    *,
+    watch: Callable[[Step, RunState], None] | None = None,
 ) -> RunState:
-    """Integrate the logs again under ``config``, with the poses that the events name; nothing is compared."""
+    """Integrate the logs again with the poses that the events name, each file under what ``change`` makes of its
+    settings; nothing is compared. Errors as `replay`, and RunError where an event can't be done under the settings."""
     files = one_run(find_files(paths))
-    state = RunState(Settings(config), new_map(config), epoch=1)
+    config = change(config_of(files[0]))
+    state = RunState(Settings(config), new_map(config))
     _begin(files, state, None)
-    for step in fold(state, (item for item in read_run(files) if not isinstance(item, FileStart))):
+
+    def items() -> Iterator[LogItem]:
+        for item in read_run(files):
+            yield with_values(item, config=change(item.config)) if isinstance(item, FileStart) else item
+
+    for step in fold(state, items()):
         if watch is not None:
             watch(step, state)
     return state
 
 
-def _config(file: RunFile) -> Config:
+def config_of(file: RunFile) -> Config:
+    """The settings with which a file begins; LogError if they can't be read."""
     try:
         return Config.model_validate(file.metadata.configuration)
     except ValueError as error:
@@ -105,6 +129,12 @@ def _begin(files: Sequence[RunFile], state: RunState, from_store: Path | None) -
         raise ReplayError(f"{from_store} is of run {cut.run[:8]}, the logs are of run {first.run[:8]}")
     if cut.record + 1 < first.first_record:
         raise ReplayError(f"gap: {from_store} ends at record {cut.record}, the logs begin at {first.first_record}")
+    if first.first_input > cut.low_water:
+        raise ReplayError(
+            f"gap: the logs begin at input {first.first_input}, and {from_store} waits for input {cut.low_water}"
+        )
+    if cut.configuration_digest != configuration_digest(state.settings.config):
+        raise ReplayError(f"{from_store} and the logs hold maps of other settings ([map])")
     store.load_into(state.map, cut)
     state.epoch, state.input, state.record = cut.epoch, cut.input, cut.record
     for robot, buffer in cut.poses.items():

@@ -43,9 +43,16 @@ def _blocks(
     """Both maps' layers at the same places, a tile of the coarser map at a time."""
     coarse, fine = (before, now) if before.cell_size >= now.cell_size else (now, before)
     side = coarse.cell_size
-    with coarse.freeze() as held:
-        tiles = held.tiles.tolist()
-    for tx, ty in tiles:
+    with coarse.freeze() as held, fine.freeze() as finer:
+        # The finer map's tiles are no larger than the coarser one's but may lie over an edge of theirs.
+        corners = [
+            (finer.tiles + corner) * (fine.cell_size / side) - np.array(corner) * 1e-9
+            for corner in ((0, 0), (0, 1), (1, 0), (1, 1))
+        ]
+        tiles = np.unique(
+            np.concatenate([held.tiles, *(np.floor(places).astype(np.int64) for places in corners)]), axis=0
+        )
+    for tx, ty in tiles.tolist():
         x0, y0 = tx * 64 * side, ty * 64 * side
         box = (x0, y0, x0 + 64 * side, y0 + 64 * side)
         ours = coarse.region(box, names)

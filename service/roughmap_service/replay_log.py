@@ -1,5 +1,6 @@
 """A replay's own log: the same inputs, and the events as they came out this time."""
 
+import errno
 import time
 import uuid
 from importlib.metadata import version
@@ -12,7 +13,7 @@ from roughmap_schemas import Config, Keys, RunMetadata, encode_event
 from .apply import RunState
 from .fold import Step
 from .log_file import Kind, LogRecord
-from .log_reader import EventRecord, InputRecord
+from .log_reader import FileStart, InputRecord
 from .log_writer import LogWriter
 
 CLOSE_SECONDS = 60.0
@@ -22,19 +23,57 @@ ROOM_SECONDS = 60.0
 """How long a disk may take to catch up before the replay gives up."""
 
 
-class ReplayLog:
-    """Writes what a replay does as a new run into an empty or new directory; a context manager."""
+def check_empty(directory: Path) -> None:
+    """FileExistsError if the directory holds anything: a run's log is told from others by its folder."""
+    if directory.exists() and any(directory.iterdir()):
+        raise FileExistsError(errno.EEXIST, "is not empty; name an empty or a new folder", str(directory))
 
-    def __init__(self, directory: Path, config: Config, state: RunState) -> None:
+
+class ReplayLog:
+    """Writes what a replay does as a new run into an empty or new directory; a context manager.
+
+    Where the replayed log began a file, perhaps under other settings, this one does too.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        check_empty(directory)
         directory.mkdir(parents=True, exist_ok=True)
-        if any(directory.glob("*.mcap")):
-            raise FileExistsError(17, "there are logs there already; name an empty folder", str(directory))
+        self._directory = directory
+        self._run = uuid.uuid4().hex
+        self._writer: LogWriter | None = None
+        self._keys = Keys("site")
+
+    def take(self, step: Step, state: RunState) -> None:
+        """Write one step, after which the run is as ``state`` says."""
+        item = step.item
+        if isinstance(item, FileStart):
+            self._begin(item.config, state)
+            return
+        writer = self._writer
+        if writer is None:  # every log begins with its first file's FileStart
+            return
+        if isinstance(item, InputRecord):
+            topic = self._keys.form(item.kind).make(robot=item.robot)
+            record = LogRecord(item.kind, topic, item.payload, item.received_ns, item.stamp_ns, item.number)
+        elif step.outcome is not None:
+            record = LogRecord(
+                Kind.EVENTS, self._keys.events, encode_event(step.outcome), item.received_ns, item.received_ns,
+                epoch=step.outcome.epoch, sequence=step.outcome.sequence,
+            )  # fmt: skip
+        else:
+            return
+        if not writer.wait_room(ROOM_SECONDS):
+            raise OSError(errno.EIO, writer.error or "the disk does not keep up", str(writer.path))
+        writer.put(record)
+
+    def _begin(self, config: Config, state: RunState) -> None:
+        self._end()
         self._keys = Keys(config.map.name, config.keys)
         metadata = RunMetadata(
-            run=uuid.uuid4().hex,
+            run=self._run,
             created_ns=time.time_ns(),
-            epoch=1,
-            index=0,
+            epoch=state.epoch,
+            index=0 if self._writer is None else self._writer.index + 1,
             first_input=state.input + 1,
             first_record=state.record + 1,
             base_sequence=state.map.sequence,
@@ -42,24 +81,11 @@ class ReplayLog:
             version=version("roughmap"),
             configuration=config.public_dict(),
         )
-        self._writer = LogWriter(directory, metadata, compression=config.log.compression)
+        self._writer = LogWriter(self._directory, metadata, compression=config.log.compression)
 
-    def take(self, step: Step) -> None:
-        """Write one step."""
-        item = step.item
-        if isinstance(item, InputRecord):
-            topic = self._keys.form(item.kind).make(robot=item.robot)
-            record = LogRecord(item.kind, topic, item.payload, item.received_ns, item.stamp_ns, item.number)
-        elif isinstance(item, EventRecord) and step.outcome is not None:
-            record = LogRecord(
-                Kind.EVENTS, self._keys.events, encode_event(step.outcome), item.received_ns, item.received_ns,
-                epoch=step.outcome.epoch, sequence=step.outcome.sequence,
-            )  # fmt: skip
-        else:
-            return
-        if not self._writer.wait_room(ROOM_SECONDS):
-            raise OSError(5, self._writer.error or "the disk does not keep up", str(self._writer.path))
-        self._writer.put(record)
+    def _end(self) -> None:
+        if self._writer is not None and not self._writer.close(CLOSE_SECONDS):
+            raise OSError(errno.EIO, self._writer.error or "the log could not be closed", str(self._writer.path))
 
     def __enter__(self) -> Self:
         return self
@@ -67,5 +93,8 @@ class ReplayLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if not self._writer.close(CLOSE_SECONDS) and error is None:
-            raise OSError(5, self._writer.error or "the log could not be closed", str(self._writer.path))
+        try:
+            self._end()
+        except OSError:
+            if error is None:
+                raise

@@ -1,9 +1,12 @@
 """`roughmap replay`."""
 
+import json
 import sys
+import uuid
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,64 +45,76 @@ def replay(
     With --what-if the run is integrated a second time under other settings, and the maps are compared.
     """
     from roughmap_service.log_reader import find_files, one_run
+    from roughmap_service.replay import config_of
     from roughmap_service.replay import replay as run
+    from roughmap_service.replay_log import check_empty
 
-    total = one_run(find_files(logs))
+    found = one_run(find_files(logs))
+    total = [file.path for file in found]
     if changes and from_store is not None:
         raise BadUse("--what-if needs the whole run: it can't begin from a store of other settings")
-    with ExitStack() as stack:
-        watch = stack.enter_context(_progress("replay", [file.path for file in total]))
-        done = run(logs, from_store=from_store, watch=watch)
-    state, config = done.state, done.config
-    result: dict[str, Any] = {"verdict": done.verdict, "equal": done.difference is None, "events": done.events}
-    if changes and done.difference is None:
-        state, config, result["what_if"] = _what_if(logs, changes, done.state, config, as_json=as_json)
-    if out is not None:
-        _store(out, state, config, done.run)
+    if log_out is not None and from_store is not None:
+        raise BadUse("--log-out needs the whole run: a log that begins in a store's midst could not be replayed alone")
+    if out is not None and out.exists():
+        raise BadUse(f"{out} is there already; name another file")
     if log_out is not None:
-        _log(logs, log_out, config)
-    if as_json:
-        import json
-
-        click.echo(json.dumps(result))
-    else:
-        click.echo(done.verdict)
+        try:
+            check_empty(log_out)
+        except FileExistsError as error:
+            raise BadUse(f"{log_out} {error.strerror}") from None
+    change = partial(_changed, changes=changes)
+    change(config_of(found[0]))  # a wrong setting is told before the work
+    with _progress("replay", total) as watch:
+        done = run(logs, from_store=from_store, watch=watch)
+    result: dict[str, Any] = {"verdict": done.verdict, "equal": done.difference is None, "events": done.events}
+    if done.difference is None:
+        state = done.state
+        if changes:
+            state, result["what_if"] = _what_if(logs, total, change, done.state, changes, as_json=as_json)
+        if out is not None:
+            _store(out, state, change(done.config), uuid.uuid4().hex)
+        if log_out is not None:
+            _log(logs, total, log_out, change)
+    elif changes or out is not None or log_out is not None:
+        click.echo("the replay ended at the first difference: nothing else was done", err=True)
+    click.echo(json.dumps(result) if as_json else done.verdict)
     return 0 if done.difference is None else 1
 
 
 def _what_if(
     logs: tuple[Path, ...],
-    changes: tuple[tuple[str, object], ...],
+    files: list[Path],
+    change: "Callable[[Config], Config]",
     before: "RunState",
-    config: "Config",
+    changes: tuple[tuple[str, object], ...],
     *,
     as_json: bool,
-) -> "tuple[RunState, Config, list[dict[str, Any]]]":
+) -> "tuple[RunState, list[dict[str, Any]]]":
     """The run under other settings, and a table of how each layer differs."""
     from roughmap_service.replay import what_if
     from roughmap_service.replay_compare import compare
 
-    changed = _changed(config, changes)
-    with _progress("what if", list(logs)) as watch:
-        now = what_if(logs, changed, watch=lambda step, _state: watch(step))
+    with _progress("what if", files) as watch:
+        now = what_if(logs, change, watch=lambda step, _state: watch(step))
     differences = compare(before.map, now.map)
     if not as_json:
         _print_differences(differences, dict(changes))
-    return now, changed, [asdict(difference) for difference in differences]
+    return now, [asdict(difference) for difference in differences]
 
 
 def _changed(config: "Config", changes: tuple[tuple[str, object], ...]) -> "Config":
+    """The settings with ``changes`` over them; BadUse for what is none."""
     from pydantic import ValidationError
 
     from roughmap_schemas import Config
 
     values = config.public_dict()
     for key, value in changes:
-        place = values
+        place: Any = values
         *sections, name = key.split(".")
         for section in sections:
-            place = place.get(section, {})
-        if name not in place:
+            place = place.get(section) if isinstance(place, dict) else None
+        if not isinstance(place, dict) or name not in place:
             raise BadUse(f"--what-if {key}: no such setting; see `roughmap config show`")
         place[name] = value
     try:
@@ -130,26 +145,20 @@ def _store(out: Path, state: "RunState", config: "Config", run: str) -> None:
     from roughmap_schemas import configuration_digest
     from roughmap_service.store import Store
 
-    if out.exists():
-        raise BadUse(f"{out} is there already; name another file")
     Store(out).write_map(state.map, config.public_dict(), configuration_digest(config), run)
 
 
-def _log(logs: tuple[Path, ...], directory: Path, config: "Config") -> None:
+def _log(logs: tuple[Path, ...], files: list[Path], directory: Path, change: "Callable[[Config], Config]") -> None:
     from roughmap_service.replay import what_if
     from roughmap_service.replay_log import ReplayLog
 
-    with ExitStack() as stack:
-        watch = stack.enter_context(_progress("log", list(logs)))
-        written: list[ReplayLog] = []
+    with _progress("log", files) as watch, ReplayLog(directory) as written:
 
         def write(step: "Step", state: "RunState") -> None:
-            if not written:
-                written.append(stack.enter_context(ReplayLog(directory, config, state)))
-            written[0].take(step)
+            written.take(step, state)
             watch(step)
 
-        what_if(logs, config, watch=write)
+        what_if(logs, change, watch=write)
 
 
 @contextmanager

@@ -1,0 +1,136 @@
+"""`roughmap replay` from a store, into a log of its own, and under other settings."""
+
+import json
+from pathlib import Path
+
+import pytest
+from replay_tools import drive, refused, replay
+from service_tools import Run, cloud, config, events_of, inputs_of, odometry, read_back, starts_of
+
+from roughmap import RoughMap
+from roughmap_service.log_file import Kind
+from roughmap_service.recovery import recover
+from roughmap_service.store import Store
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    return tmp_path / "log"
+
+
+def test_from_a_store(logs: Path, tmp_path: Path) -> None:
+    """From the cut on, with a cloud that waited then: what lies before it isn't needed, and isn't done twice."""
+    store = Store(tmp_path / "map.db")
+    with Run(logs, store=store) as run:
+        drive(run, 0, 2)
+        run.rotate()
+        drive(run, 2, 1)
+        run.put(Kind.POINTS, cloud(3.05))
+        run.snapshot()
+        run.put(Kind.ODOMETRY, odometry(3.0, 0.9))
+        run.put(Kind.ODOMETRY, odometry(3.1, 1.0))
+        assert [event.outcome for event in run.decide()] == ["integrated"]
+        run.rotate()
+        drive(run, 5, 1)
+    files = sorted(logs.glob("*.mcap"))
+    equal = f"equal: 2 checkpoints, sequence 5, digest {run.state.map.digest()}"
+    assert replay(logs, "--from", store.path)[:2] == (0, equal)
+    assert replay(*files[1:], "--from", store.path)[:2] == (0, equal)
+    refused(replay(files[2], "--from", store.path), "gap: ")
+    refused(replay(logs, "--from", store.path, "--log-out", tmp_path / "new"), "--log-out needs the whole run")
+    refused(replay(logs, "--from", store.path, "--what-if", "map.cell_size=0.2"), "--what-if needs the whole run")
+    with Run(tmp_path / "other") as other:
+        drive(other, 0, 1)
+    refused(replay(tmp_path / "other", "--from", store.path), "is of run")
+
+
+def test_a_store_that_is_not_in_the_log_gives_another_map(logs: Path, tmp_path: Path) -> None:
+    """What lies before the cut is taken on trust; a store of another map shows at the next digest."""
+    store = Store(tmp_path / "map.db")
+    with Run(logs, store=store) as run:
+        drive(run, 0, 2)
+        cut_of_the_first_two = run.state.map.digest()
+        run.rotate()
+        run.snapshot()
+        drive(run, 2, 1)
+    with Run(tmp_path / "else") as other:
+        drive(other, 0, 1)
+        other.scan(9.0, 3.0)
+    cut = store.read_cut()
+    assert cut is not None
+    assert other.state.map.digest() != cut_of_the_first_two
+    with other.state.map.freeze() as frozen:
+        store.write(cut, frozen, None)
+    code, last, _ = replay(logs, "--from", store.path)
+    assert (code, last.split(":")[0]) == (1, "differs at sequence 2"), "where the first file behind the cut begins"
+
+
+def test_a_replays_own_log_is_equal_and_keeps_each_files_settings(logs: Path, tmp_path: Path) -> None:
+    with Run(logs) as run:
+        drive(run)
+        run.rotate()
+        drive(run, 3)
+        run.reset()
+        drive(run, 6, 1)
+    other = config(sensors={"lidar": {"range_sigma": 0.05}}, log={"compression": "zstd"})
+    with Run(logs, other, recovered=recover(other, logs, None)) as run:
+        drive(run, 10)
+    new = tmp_path / "new"
+    first = replay(logs, "--log-out", new)
+    assert first[0] == 0
+    assert replay(new)[:2] == first[:2]
+    old_items, new_items = read_back(logs), read_back(new)
+    assert events_of(new_items) == events_of(old_items)
+    assert inputs_of(new_items) == inputs_of(old_items), "numbers, places, bytes and times"
+    starts = starts_of(new_items)
+    assert [start.config for start in starts] == [start.config for start in starts_of(old_items)]
+    assert len({start.metadata.run for start in starts} | {run.run}) == 2, "it is a run of its own"
+    assert replay(new, "--log-out", tmp_path / "again")[:2] == first[:2]
+
+
+def test_a_log_goes_to_an_empty_folder_only_and_that_is_seen_first(logs: Path, tmp_path: Path) -> None:
+    with Run(logs) as run:
+        drive(run)
+    outcome = replay(logs, "--log-out", tmp_path)
+    refused(outcome, "is not empty")
+    assert "replay:" not in outcome[2], "nothing was replayed before"
+    (tmp_path / "map.db").touch()
+    outcome = replay(logs, "-o", tmp_path / "map.db")
+    refused(outcome, "is there already")
+    assert "replay:" not in outcome[2]
+    (tmp_path / "new").mkdir()
+    assert replay(logs, "--log-out", tmp_path / "new")[0] == 0
+
+
+def test_what_if(logs: Path, tmp_path: Path) -> None:
+    """Every file under its own settings but for the one that is changed: the same as a run that had it so."""
+    noisy = {"lidar": {"range_sigma": 0.05}}
+    for directory, cell_size in ((logs, 0.1), (tmp_path / "coarse", 0.2)):
+        first, second = config(map={"cell_size": cell_size}), config(map={"cell_size": cell_size}, sensors=noisy)
+        with Run(directory, first) as run:
+            drive(run)
+        with Run(directory, second, recovered=recover(second, directory, None)) as run:
+            drive(run, 5)
+    store, new = tmp_path / "map.db", tmp_path / "new"
+    code, told, _ = replay(logs, "--what-if", "map.cell_size=0.2", "--json", "-o", store, "--log-out", new)
+    result = json.loads(told)
+    assert (code, result["equal"]) == (0, True)
+    heights = next(layer for layer in result["what_if"] if layer["layer"] == "mean_height")
+    assert heights["cells"] > 0
+    cut = Store(store).read_cut()
+    assert cut is not None
+    rough_map = RoughMap(cell_size=0.2)
+    Store(store).load_into(rough_map, cut)
+    assert rough_map.digest() == run.state.map.digest()
+    assert cut.configuration["map"]["cell_size"] == 0.2
+    code, last, _ = replay(new)
+    assert (code, last.rpartition(" ")[2]) == (0, run.state.map.digest())
+
+
+@pytest.mark.parametrize("change", ["map.cell_sizes=1", "map.cell_size=-1", "map.cell_size.x=1", "nothing.there=1"])
+def test_what_if_of_no_setting_is_seen_first(change: str, logs: Path) -> None:
+    with Run(logs) as run:
+        drive(run)
+    outcome = replay(logs, "--what-if", change)
+    refused(outcome, "--what-if ")
+    assert "replay:" not in outcome[2]
