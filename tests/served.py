@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 import zenoh
-from net import open_pair
+from net import open_pair, wait_for
 
 from roughmap import RoughMap
 from roughmap_schemas.config import Config, configuration_digest
@@ -79,6 +79,7 @@ class Served:
         self.server, self.asker = self.sessions or self._stack.enter_context(open_pair())
         self._stack.callback(self.map.close)
         self._stack.callback(self.view.wake)
+        actions = self.actions or {"reset": self.reset}
         if self.status is None:
             self.status = Status(
                 self.view, self.counters, self.config, self.identity, "9.8.7", lambda: self.progress
@@ -86,10 +87,22 @@ class Served:
         self.answers = self._stack.enter_context(
             Answers(
                 self.server, self.view, self.keys, self.config, self.identity, status=self.status,
-                control=self.actions or {"reset": self.reset}, record_query=self._record, emptied=self.emptied,
+                control=actions, record_query=self._record, emptied=self.emptied,
             )
         )  # fmt: skip
+        self._wait_known(self.keys.control(list(actions)[-1]))
         return self
+
+    def _wait_known(self, key: str) -> None:
+        """Wait until the asker has heard of a queryable; of all that were declared before, it has heard then too."""
+        known = threading.Event()
+        querier = self.asker.declare_querier(key)
+        listener = querier.declare_matching_listener(lambda status: known.set() if status.matching else None)
+        if getattr(querier.matching_status, "matching", querier.matching_status):
+            known.set()
+        wait_for(known, f"the asker to hear of {key}")
+        listener.undeclare()
+        querier.undeclare()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
