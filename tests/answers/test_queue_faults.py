@@ -73,22 +73,21 @@ def test_a_large_one_comes_though_small_ones_keep_coming() -> None:
 
 
 def test_a_large_one_that_does_not_fit_is_not_passed_for_ever() -> None:
-    """While something always runs there is never room for it, unless the others let it have some."""
-    done, order = threading.Event(), []
+    """Each small one ends only when the next has begun, if that may begin: so there is room for the large one only
+    where the queue holds small ones back for it."""
+    done, most = threading.Event(), 300
+    began = [threading.Event() for _ in range(most + 1)]
+
     with AnswerQueue("t", 3, 10, 2 * SMALL_CELLS) as queue:
 
-        def small() -> None:
-            order.append("small")
-            if not done.is_set() and len(order) < 100_000:
-                queue.submit(SMALL_CELLS, small, lambda _: None)
+        def small(number: int) -> None:
+            began[number].set()
+            if number < most and not done.is_set():
+                queue.submit(SMALL_CELLS, lambda: small(number + 1), lambda _: None)
+                began[number + 1].wait(0.3)  # it begins at once, or is held back
 
-        def large() -> None:
-            order.append("large")
-            done.set()
-
-        for _ in range(3):
-            queue.submit(SMALL_CELLS, small, lambda _: None)
-        queue.submit(3 * SMALL_CELLS, large, never)
+        queue.submit(SMALL_CELLS, lambda: small(0), never)
+        wait_for(began[0], "the first small one")
+        queue.submit(3 * SMALL_CELLS, done.set, never)
         wait_for(done, "the large one")
-    assert order.count("large") == 1
-    assert len(order) < 100_000, "it did not wait for the small ones to run out"
+        assert not began[most].is_set(), "it had to wait until the small ones ran out"

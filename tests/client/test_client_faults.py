@@ -100,6 +100,7 @@ TILES: dict[str, tuple[type[RoughMapError], Callable[[zenoh.Query], None]]] = {
         lambda q: [send_tile(q, info(x, answer_tiles=1)) for x in (0, 1)] and None,
     ),
     "one of them twice": (IncompleteAnswer, lambda q: [send_tile(q, info(0, answer_tiles=2)) for _ in "ab"] and None),
+    "one more, the same": (IncompleteAnswer, lambda q: [send_tile(q, info(0, answer_tiles=1)) for _ in "ab"] and None),
     "two states of the map": (
         IncompleteAnswer,
         lambda q: [send_tile(q, info(x, answer_tiles=2, map_sequence=9 + x)) for x in (0, 1)] and None,
