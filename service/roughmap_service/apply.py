@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from roughmap import AddReport, RoughMap, Scan, TooManyTiles
-from roughmap.cell import OFFSET_LIMIT_NS
+from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS
 from roughmap_schemas import (
     CheckpointEvent,
     Cloud,
@@ -152,8 +152,9 @@ def span(cloud: Cloud) -> tuple[int, int]:
     if cloud.offsets_ns is None or not len(cloud.offsets_ns):
         return cloud.stamp_ns, cloud.stamp_ns
     offsets = cloud.offsets_ns
-    if int(offsets.min()) < 0 or int(offsets.max()) > OFFSET_LIMIT_NS:
-        offsets = offsets[(offsets >= 0) & (offsets <= OFFSET_LIMIT_NS)]
+    last = min(OFFSET_LIMIT_NS, STAMP_LIMIT_NS - 1 - cloud.stamp_ns)
+    if int(offsets.min()) < 0 or int(offsets.max()) > last:
+        offsets = offsets[(offsets >= 0) & (offsets <= last)]
         if not len(offsets):
             return cloud.stamp_ns, cloud.stamp_ns
     return cloud.stamp_ns + int(offsets.min()), cloud.stamp_ns + int(offsets.max())

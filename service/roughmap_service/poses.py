@@ -217,7 +217,7 @@ def too_far_apart(poses: Sequence[Pose], max_gap_ns: float) -> bool:
 def too_fast(poses: Sequence[Pose], max_speed: float, max_turn: float) -> bool:
     """Two neighbours that imply more than ``max_speed`` (m/s) or ``max_turn`` (rad/s)."""
     for a, b in pairwise(poses):
-        seconds = (b.stamp_ns - a.stamp_ns) / 1e9  # rounded once, so that exactly the largest speed is not above it
+        seconds = (b.stamp_ns - a.stamp_ns) * 1e-9
         if math.dist(a.position, b.position) > max_speed * seconds:
             return True
         if angle_between(a.rotation, b.rotation) > max_turn * seconds:

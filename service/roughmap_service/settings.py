@@ -10,6 +10,12 @@ from roughmap_schemas import Config, SensorConfig
 
 NS = 1_000_000_000
 
+LARGEST_SIGMA = 1e100
+"""Sigmas beyond it, which say no more, count as this one, whose square is still a number."""
+
+LONGEST_HISTORY = float(1 << 32)
+"""All stamps lie within so many seconds; more of them may be no number of nanoseconds."""
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -31,14 +37,16 @@ class Settings:
         self.max_wait = inputs.max_wait
         self.max_pose_gap = inputs.max_pose_gap
         self.max_pose_gap_ns = inputs.max_pose_gap * NS
-        self.history_ns = round(inputs.pose_history * NS)
+        self.history_ns = round(min(inputs.pose_history, LONGEST_HISTORY) * NS)
         self.max_speed = inputs.max_speed
         self.max_turn = inputs.max_turn
         self.queue_limit = inputs.queue_limit
         self.max_new_tiles = config.map.max_new_tiles
         self.max_tiles = config.map.max_tiles
-        self.pose_covariance: npt.NDArray[np.float64] = np.diag(np.array(inputs.pose_sigma, np.float64) ** 2)
-        self.placed_covariance: npt.NDArray[np.float64] = np.eye(3) * (inputs.placed_sigma * inputs.placed_sigma)
+        pose_sigma = np.minimum(np.array(inputs.pose_sigma, np.float64), LARGEST_SIGMA)
+        placed_sigma = min(inputs.placed_sigma, LARGEST_SIGMA)
+        self.pose_covariance: npt.NDArray[np.float64] = np.diag(pose_sigma**2)
+        self.placed_covariance: npt.NDArray[np.float64] = np.eye(3) * (placed_sigma * placed_sigma)
         # A transform that moves by more than three sigmas of a pose is a correction, not drift.
         self.jump_m = 3.0 * max(inputs.pose_sigma[:3])
         self.jump_rad = 3.0 * max(inputs.pose_sigma[3:])
