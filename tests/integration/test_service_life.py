@@ -155,11 +155,17 @@ def test_a_configuration_file_that_is_none(tmp_path: Path) -> None:
 
 
 def test_a_foreign_file_in_the_log_directory(tmp_path: Path) -> None:
-    """It is neither taken for a log nor changed."""
+    """It is no file of the run: the service leaves it as it is, and a replay of the folder names it."""
     (tmp_path / "log").mkdir()
     foreign = tmp_path / "log" / "holiday.mcap"
-    foreign.write_bytes(b"no log at all, but a hundred and more bytes of something else " * 3)
-    code, said = refused(tmp_path)
+    content = b"no log at all, but a hundred and more bytes of something else " * 3
+    foreign.write_bytes(content)
+    with Service(tmp_path) as service:
+        with connected(service) as feed:
+            assert feed.client.status().sequence == 0
+        assert service.stop() == 0
+    assert foreign.read_bytes() == content
+    assert not list(service.log.glob("*.torn"))
+    code, said = replay(service.log)
     assert code == 2
     assert "holiday.mcap" in said
-    assert foreign.read_bytes().startswith(b"no log at all")
