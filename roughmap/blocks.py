@@ -46,7 +46,10 @@ def scan_blocks(
     area: Scalar,
     error: Scalar,
 ) -> None:
-    """Place and bound the points ``start`` to ``stop`` of a scan; the covariances live only as long as their block."""
+    """Place and bound the points of a scan from ``start``, where a block begins, to ``stop``.
+
+    The covariances live only as long as their block.
+    """
     for first in range(start, stop, BLOCK):
         last = min(first + BLOCK, stop)
         bx, by, bz, why = x[first:last], y[first:last], z[first:last], reason[first:last]
@@ -56,7 +59,7 @@ def scan_blocks(
             )
         else:
             place_still(bx, by, bz, why, levers, S, model != POINT, posed, pose, rules)
-        _bound(model, bx, by, bz, S, why, cells[:, first:last], body[:, first:last], a, area, error)
+        _bound(model, bx, by, bz, S, why, cells[first // BLOCK], body[first // BLOCK], a, area, error)
 
 
 @kernel
@@ -76,7 +79,10 @@ def point_blocks(
     area: Scalar,
     error: Scalar,
 ) -> None:
-    """Bound the points ``start`` to ``stop``, in the map frame. ``covariance``: (1, 3, 3) for all, or one a point."""
+    """Bound points in the map frame from ``start``, where a block begins, to ``stop``.
+
+    ``covariance``: (1, 3, 3) for all, or one a point.
+    """
     each = np.int64(1) if len(covariance) > 1 else np.int64(0)
     for first in range(start, stop, BLOCK):
         last = min(first + BLOCK, stop)
@@ -96,8 +102,8 @@ def point_blocks(
             z[first:last],
             S,
             reason[first:last],
-            cells[:, first:last],
-            body[:, first:last],
+            cells[first // BLOCK],
+            body[first // BLOCK],
             a,
             area,
             error,

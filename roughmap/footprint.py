@@ -85,7 +85,7 @@ def _cell_number(f: Scalar) -> Scalar:
 
 @kernel
 def bound_points(x: F8, y: F8, z: F8, reason: U1, cells: I4, a: float, area: Scalar) -> None:
-    """`point`: the cell of each point. ``cells`` (4, n): i0, j0, i1, j1 of the footprint, both ends in it."""
+    """`point`: the cell of each point. ``cells`` (4, BLOCK): i0, j0, i1, j1 of the footprint, both ends in it."""
     for n in range(len(x)):
         f = math.floor(x[n] / a) + 0.0
         g = math.floor(y[n] / a) + 0.0
@@ -125,7 +125,7 @@ def _bound(
 def bound_cuboids(
     x: F8, y: F8, z: F8, S: F8, reason: U1, cells: I4, body: F8, a: float, area: Scalar, error: Scalar
 ) -> None:
-    """`cuboid`, a block: cells, reasons, and ``body`` (3, n): rx, ry, q = w / p = a / (rx ry rz).
+    """`cuboid`, a block: cells, reasons, and ``body`` (5, BLOCK): rx, ry, q = w / p = a / (rx ry rz).
 
     ``S`` (6, >= n): upper triangles. ``area``: xmin, ymin, xmax, ymax, half-open, metres. ``error``: coverage,
     min_radius, max_horizontal_radius. Points that have a reason keep it.
@@ -150,7 +150,7 @@ def bound_cuboids(
 def bound_ellipsoids(
     x: F8, y: F8, z: F8, S: F8, reason: U1, cells: I4, body: F8, a: float, area: Scalar, error: Scalar
 ) -> None:
-    """`ellipsoid`, a block: as `bound_cuboids`, with ``body`` (5, n): k sx, k sy, q = a / (k^3 sqrt(det S)), rho, beta.
+    """`ellipsoid`, a block: as `bound_cuboids`, with ``body``: k sx, k sy, q = a / (k^3 sqrt(det S)), rho, beta.
 
     Where an eigenvalue is below (min_radius / k)^2 it is raised to it in ``S``, in place.
     """
@@ -219,10 +219,10 @@ def _cuboid_shares(
 
 
 @kernel
-def shares_of(model: int, n: int, x: F8, y: F8, cells: I4, body: F8, a: float, lines: F8, shares: F8) -> Scalar:
-    """Fill ``shares`` with the shares of point ``n`` in the cells of its footprint, row by row; the largest.
+def shares_of(model: int, n: int, x: float, y: float, cells: I4, body: F8, a: float, lines: F8, shares: F8) -> Scalar:
+    """Fill ``shares`` with the shares of point ``n`` of a block in the cells of its footprint, row by row; the largest.
 
-    ``lines`` (5, >= cells along x + 1) is scratch.
+    (x, y): its place. ``lines`` (5, >= cells along x + 1) is scratch.
     """
     i0, j0 = np.int64(cells[0, n]), np.int64(cells[1, n])
     ni = np.int64(cells[2, n]) - i0 + 1
@@ -231,15 +231,15 @@ def shares_of(model: int, n: int, x: F8, y: F8, cells: I4, body: F8, a: float, l
         shares[0] = 1.0
         return 1.0
     if model == CUBOID:
-        largest = _cuboid_shares(x[n], y[n], body[0, n], body[1, n], i0, j0, ni, nj, a, lines[4], shares)
+        largest = _cuboid_shares(x, y, body[0, n], body[1, n], i0, j0, ni, nj, a, lines[4], shares)
     else:
         largest = ellipse_shares(
-            x[n], y[n], body[0, n], body[1, n], body[3, n], body[4, n], i0, j0, ni, nj, a, lines, lines[4], shares
+            x, y, body[0, n], body[1, n], body[3, n], body[4, n], i0, j0, ni, nj, a, lines, lines[4], shares
         )
     if not largest > LEAST_SHARE:
         # The footprint is finer than float64's spacing at its place: all of it lies in the cell of its position.
-        i: Scalar = min(max(np.int64(math.floor(x[n] / a)) - i0, 0), ni - 1)
-        j: Scalar = min(max(np.int64(math.floor(y[n] / a)) - j0, 0), nj - 1)
+        i: Scalar = min(max(np.int64(math.floor(x / a)) - i0, 0), ni - 1)
+        j: Scalar = min(max(np.int64(math.floor(y / a)) - j0, 0), nj - 1)
         shares[: ni * nj] = 0.0
         shares[j * ni + i] = 1.0
         largest = 1.0

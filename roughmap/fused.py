@@ -3,17 +3,18 @@
 import numpy as np
 
 from roughmap.arrays import F8, I4, I8, U1, U8, Scalar
-from roughmap.cell import TILE_CELLS, TILE_SHIFT
+from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT
 from roughmap.footprint import LEAST_SHARE, POINT, shares_of
 from roughmap.index import find, place_key, tile_key
 from roughmap.jit import inline, kernel
-from roughmap.memory import CELL_WORDS, floats, words
-from roughmap.update import update_cell
+from roughmap.memory import prefetch
+from roughmap.place import BLOCK
+from roughmap.update import QUEUE, drain
 
 _MASK = np.int64(TILE_CELLS - 1)
 _SHIFT = np.int64(TILE_SHIFT)
 _ROW = np.uint64(TILE_CELLS)
-_WORDS = np.uint64(CELL_WORDS)
+_BYTES = np.uint64(CELL_DTYPE.itemsize)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
@@ -50,7 +51,8 @@ def collect_tiles(
         home[n] = -1
         if reason[n] != 0:
             continue
-        i0, j0, i1, j1 = np.int64(cells[0, n]), np.int64(cells[1, n]), np.int64(cells[2, n]), np.int64(cells[3, n])
+        b, k = n // BLOCK, n % BLOCK
+        i0, j0, i1, j1 = _corners(cells, b, k)
         tx0, ty0, tx1, ty1 = i0 >> _SHIFT, j0 >> _SHIFT, i1 >> _SHIFT, j1 >> _SHIFT
         # Room for all tiles of this point's footprint, so that a point is never cut in two.
         if 2 * (number + (tx1 - tx0 + 1) * (ty1 - ty0 + 1)) > len(table):
@@ -71,7 +73,7 @@ def collect_tiles(
             continue
         least = 0.0
         if model != POINT:
-            least = min_share * shares_of(model, n, x, y, cells, body, a, lines, shares)
+            least = min_share * shares_of(model, k, x[n], y[n], cells[b], body[b], a, lines, shares)
         else:
             shares[0] = 1.0
         ni = i1 - i0 + 1
@@ -96,12 +98,18 @@ def collect_tiles(
 
 
 @inline
-def _take_up(
+def _corners(cells: I4, b: Scalar, k: Scalar) -> Scalar:
+    return np.int64(cells[b, 0, k]), np.int64(cells[b, 1, k]), np.int64(cells[b, 2, k]), np.int64(cells[b, 3, k])
+
+
+@inline
+def _enqueue(
+    queue: Scalar,
+    count: Scalar,
+    n: Scalar,
     address: Scalar,
     bits: U8,
-    h: Scalar,
     q: Scalar,
-    second: Scalar,
     i0: Scalar,
     j0: Scalar,
     ni: Scalar,
@@ -111,25 +119,28 @@ def _take_up(
     j_high: Scalar,
     least: Scalar,
     shares: F8,
-    min_distance: Scalar,
 ) -> Scalar:
-    """Update the cells of one tile that a footprint covers; whether there was one."""
-    heads = words(address)
-    values = floats(address)
-    any_cell = False
+    """Queue the cells of one tile that a footprint covers; updates that are now in the queue.
+
+    Every cell is written to the queue and the end moved on by those that take part: no branch to be guessed wrong.
+    """
+    cell, weight, point = queue
     for j in range(j_low, j_high + 1):
         changed = np.uint64(0)
         line = np.uint64(j & _MASK)
         for i in range(i_low, i_high + 1):
             p = shares[(j - j0) * ni + (i - i0)]
-            if p >= least and p > LEAST_SHARE:
-                column = np.uint64(i & _MASK)
-                update_cell(heads, values, (line * _ROW + column) * _WORDS, h, p * q, q, second, min_distance)
-                changed |= np.uint64(1) << column
-        if changed != 0:
-            bits[line] |= changed
-            any_cell = True
-    return any_cell
+            taken = np.uint64((p >= least) & (p > LEAST_SHARE))
+            column = np.uint64(i & _MASK)
+            where = address + (line * _ROW + column) * _BYTES
+            cell[count] = where
+            weight[count] = p * q
+            point[count] = n
+            count += taken
+            changed |= taken << column
+            prefetch(where)
+        bits[line] |= changed
+    return count
 
 
 @kernel
@@ -157,6 +168,7 @@ def update_tiles(
     newest: I8,
     lines: F8,
     shares: F8,
+    queue: Scalar,
 ) -> None:
     """Update the cells of the tiles that ``part`` owns, in the order of the points.
 
@@ -165,24 +177,28 @@ def update_tiles(
     """
     w0, v0, w1, v1 = window
     each = np.int64(1) if len(stamps) > 1 else np.int64(0)
+    count = np.uint64(0)
     for n in range(len(x)):
         if reason[n] != 0:
             continue
+        if count >= QUEUE:
+            drain(queue, count, z, body, stamps, model, min_distance)
+            count = np.uint64(0)
         row = np.int64(home[n])
         if row >= 0 and owner[row] != part:
             continue
-        i0, j0, i1, j1 = np.int64(cells[0, n]), np.int64(cells[1, n]), np.int64(cells[2, n]), np.int64(cells[3, n])
+        b, k = n // BLOCK, n % BLOCK
+        i0, j0, i1, j1 = _corners(cells, b, k)
         ni = i1 - i0 + 1
         least = 0.0
         q = 1.0
         shares[0] = 1.0
         if model != POINT:
-            least = min_share * shares_of(model, n, x, y, cells, body, a, lines, shares)
-            q = body[2, n]
+            least = min_share * shares_of(model, k, x[n], y[n], cells[b], body[b], a, lines, shares)
+            q = body[b, 2, k]
         stamp = stamps[n * each]
-        second = np.uint64(stamp) // np.uint64(1000000000)
         if row >= 0:
-            _take_up(address[row], bits[row], z[n], q, second, i0, j0, ni, i0, i1, j0, j1, least, shares, min_distance)
+            count = _enqueue(queue, count, n, address[row], bits[row], q, i0, j0, ni, i0, i1, j0, j1, least, shares)
             oldest[row] = min(oldest[row], stamp)
             newest[row] = max(newest[row], stamp)
             continue
@@ -193,12 +209,14 @@ def update_tiles(
                     continue
                 i_low, i_high = max(i0, w0, tx << _SHIFT), min(i1, w1, (tx << _SHIFT) + _MASK)
                 j_low, j_high = max(j0, v0, ty << _SHIFT), min(j1, v1, (ty << _SHIFT) + _MASK)
-                if _take_up(
-                    address[row], bits[row], z[n], q, second, i0, j0, ni, i_low, i_high, j_low, j_high, least, shares,
-                    min_distance,
-                ):  # fmt: skip
+                before = count
+                count = _enqueue(
+                    queue, count, n, address[row], bits[row], q, i0, j0, ni, i_low, i_high, j_low, j_high, least, shares
+                )
+                if count != before:
                     oldest[row] = min(oldest[row], stamp)
                     newest[row] = max(newest[row], stamp)
+    drain(queue, count, z, body, stamps, model, min_distance)
 
 
 @inline

@@ -140,6 +140,7 @@ def integrate(
             newest,
             scratch.lines,
             scratch.shares,
+            scratch.queue,
         )
 
     space.run(parts, update)

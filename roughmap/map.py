@@ -16,13 +16,13 @@ from roughmap.footprint import POINT
 from roughmap.frozen import TILE_LIMIT, Frozen, TileBox
 from roughmap.integrate import AddReport, integrate
 from roughmap.merge_cache import MergeCache
-from roughmap.place import pose_at, split
+from roughmap.place import BLOCK, pose_at, split
 from roughmap.region import Region, cell_box, read_region, tile_box
 from roughmap.scan import Limits, Noise, Scan, checked_integers, checked_points, checked_stamp, point_rules
 from roughmap.settings import Settings
 from roughmap.tiles import TileTable
 from roughmap.trajectory import Trajectory
-from roughmap.workspace import Planes, ThreadScratch, Workspace
+from roughmap.workspace import Planes, ThreadScratch, Workspace, blocks_of
 
 _NO_TIMES = np.zeros(0, np.int64)
 
@@ -228,7 +228,7 @@ class RoughMap:
         """Phase one, ``geometry`` over ranges of points; phase two, the tiles."""
         number = len(planes.x)
         parts = self._space.parts(number)
-        edges = [number * n // parts for n in range(parts + 1)]
+        edges = [min(blocks_of(number) * n // parts * BLOCK, number) for n in range(parts + 1)]
         self._space.run(parts, lambda n, scratch: geometry(edges[n], edges[n + 1], scratch))
         counts = np.bincount(planes.reason, minlength=len(REASON_NAMES)).tolist()
         accepted = counts[PointReason.KEPT]

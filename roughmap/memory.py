@@ -33,6 +33,24 @@ def _as_pointer(typingctx: Any, address: Any, like: Any) -> Any:  # noqa: ARG001
 _pointer: Any = intrinsic(_as_pointer)
 
 
+def _fetch(typingctx: Any, address: Any) -> Any:  # noqa: ARG001 - numba's calling form
+    """Ask for the cache line at an address, to be written soon; changes nothing."""
+
+    def codegen(context: Any, builder: ir.IRBuilder, _: Any, args: Any) -> Any:
+        number = ir.IntType(32)
+        pointer = ir.IntType(8).as_pointer()
+        form = ir.FunctionType(ir.VoidType(), [pointer, number, number, number])
+        ask = builder.module.globals.get("llvm.prefetch.p0") or ir.Function(builder.module, form, "llvm.prefetch.p0")
+        to_write, keep, data = number(1), number(3), number(1)
+        builder.call(ask, [builder.inttoptr(args[0], pointer), to_write, keep, data])
+        return context.get_dummy_value()
+
+    return types.void(types.uint64), codegen
+
+
+prefetch: Any = intrinsic(_fetch)
+
+
 @inline
 def floats(address: Scalar) -> F8:
     """The slot at ``address`` as 8 * 4096 float64 words; words that are multiples of 8 hold no float."""

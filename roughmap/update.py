@@ -1,35 +1,39 @@
-"""The update of a cell by a point (eq. 5, 13-16)."""
+"""The update of a cell by a point (eq. 5, 13-16), and the queue of updates that wait."""
 
 import numpy as np
 
-from roughmap.arrays import F8, U8, Scalar
+from roughmap.arrays import F8, I8, U8, Scalar
+from roughmap.footprint import POINT
 from roughmap.jit import inline
+from roughmap.memory import floats, words
+from roughmap.place import BLOCK
+
+QUEUE = 512
+"""Updates that wait before they are done: their cells, asked for meanwhile, fit the first-level cache."""
 
 _COUNT = np.uint64(0xFFFFFFFF)
 _SHIFT = np.uint64(32)
 
 
 @inline
-def update_cell(
-    heads: U8, values: F8, base: Scalar, h: Scalar, w: Scalar, q: Scalar, second: Scalar, min_distance: Scalar
-) -> None:
-    """Take up height ``h`` with weight ``w`` in the cell whose eight words begin at ``base`` of its slot.
+def update_cell(head_of: U8, values: F8, h: Scalar, w: Scalar, q: Scalar, second: Scalar, min_distance: Scalar) -> None:
+    """Take up height ``h`` with weight ``w`` in the cell of which ``head_of`` and ``values`` are the eight words.
 
     ``q`` = w / p of the point; ``second`` = floor(stamp / 1e9). With W the weight before:
     W' = W + w; g = w / W'; delta = h - mean; mean' = mean + delta g (eq. 5, 13); m2' = m2 + W g delta^2;
     W2' = W2 + w q; d = max(|h - mean'|, min_distance); inv_cf' = inv_cf + w / d^2 (eq. 16).
     """
-    head = heads[base]
+    head = head_of[0]
     count = head & _COUNT
     updated = head >> _SHIFT
     updated = second if second > updated else updated
-    W = values[base + np.uint64(1)]
-    mean = values[base + np.uint64(3)]
+    W = values[1]
+    mean = values[3]
     total = W + w
     g = w / total
     delta = h - mean
-    low = values[base + np.uint64(5)]
-    high = values[base + np.uint64(6)]
+    low = values[5]
+    high = values[6]
     if count == 0:
         mean = h
         low = h
@@ -38,14 +42,26 @@ def update_cell(
         mean = mean + delta * g
         low = min(low, h)
         high = max(high, h)
-        values[base + np.uint64(4)] += (W * g) * (delta * delta)
+        values[4] += (W * g) * (delta * delta)
     d = max(abs(h - mean), min_distance)
     # A count of 2^32 - 1 stays: it would begin anew as a cell never hit.
     count = count if count == _COUNT else count + np.uint64(1)
-    heads[base] = count | (updated << _SHIFT)
-    values[base + np.uint64(1)] = total
-    values[base + np.uint64(2)] += w * q
-    values[base + np.uint64(3)] = mean
-    values[base + np.uint64(5)] = low
-    values[base + np.uint64(6)] = high
-    values[base + np.uint64(7)] += w / (d * d)
+    head_of[0] = count | (updated << _SHIFT)
+    values[1] = total
+    values[2] += w * q
+    values[3] = mean
+    values[5] = low
+    values[6] = high
+    values[7] += w / (d * d)
+
+
+@inline
+def drain(queue: Scalar, count: Scalar, z: F8, body: F8, stamps: I8, model: Scalar, min_distance: Scalar) -> None:
+    """Do the first ``count`` updates of a queue, in order."""
+    cell, weight, point = queue
+    each = np.int64(1) if len(stamps) > 1 else np.int64(0)
+    for c in range(count):
+        n = np.uint64(point[c])
+        q = body[n // np.uint64(BLOCK), 2, n % np.uint64(BLOCK)] if model != POINT else 1.0
+        second = np.uint64(stamps[n * np.uint64(each)]) // np.uint64(1000000000)
+        update_cell(words(cell[c]), floats(cell[c]), z[n], weight[c], q, second, min_distance)

@@ -1,14 +1,16 @@
 """Memory that is used again from one scan to the next, and the threads that share the work."""
 
-import math
 import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 
+from roughmap.arrays import F8, I8, U8
 from roughmap.index import rehash
 from roughmap.place import BLOCK, LEVERS
+from roughmap.update import QUEUE
 
 _KEPT_POINTS = 1 << 18
 """Planes for more points than this (some 25 MB) are given back after the call that needed them."""
@@ -17,25 +19,40 @@ _POINTS_A_THREAD = 2048
 """Fewer are not worth a thread."""
 
 
+def blocks_of(number: int) -> int:
+    """Blocks into which so many points fall."""
+    return -(-number // BLOCK)
+
+
 class Planes:
-    """One array a quantity, for the points of a scan."""
+    """One array a quantity, for the points of a scan; ``cells`` and ``body`` block by block.
+
+    A plane of a block is contiguous, however many points there are: without that its loops aren't vectorised.
+    """
 
     def __init__(self, number: int) -> None:
         self.x = np.empty(number)
         self.y = np.empty(number)
         self.z = np.empty(number)
         self.reason = np.zeros(number, np.uint8)
-        self.cells = np.empty((4, number), np.int32)
-        self.body = np.empty((5, number))
+        self.cells = np.empty((blocks_of(number), 4, BLOCK), np.int32)
+        self.body = np.empty((blocks_of(number), 5, BLOCK))
         self.home = np.empty(number, np.int32)
 
     def first(self, number: int) -> "Planes":
         """Views for ``number`` points, each without gaps: kernels are compiled for that layout alone."""
         part = Planes.__new__(Planes)
         for name, array in vars(self).items():
-            shape = (*array.shape[:-1], number)
-            setattr(part, name, array.reshape(-1)[: math.prod(shape)].reshape(shape))
+            setattr(part, name, array[: number if array.ndim == 1 else blocks_of(number)])
         return part
+
+
+class Queue(NamedTuple):
+    """Updates of cells that wait: addresses of cells, weights, points."""
+
+    cell: U8
+    weight: F8
+    point: I8
 
 
 class ThreadScratch:
@@ -47,6 +64,8 @@ class ThreadScratch:
         self.bracket = np.empty(BLOCK, np.int64)
         self.lines = np.zeros((5, side + 1))
         self.shares = np.empty(side * side)
+        room = QUEUE + side * side
+        self.queue = Queue(np.empty(room, np.uint64), np.empty(room), np.empty(room, np.int64))
 
 
 class TouchedTiles:
