@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 from asking_raw import RawTile, get
 from net import WAIT_S
-from served import Served
+from served import T0, Served
+
+from roughmap import RoughMap
+from roughmap_service.view import View
 
 SCAN = 40
 FIRST = 5 * 1500
@@ -119,3 +122,28 @@ def test_following_since_misses_nothing() -> None:
             assert {key: tile.info["digest"] for key, tile in held.items()} == {
                 (0, x, y): frozen.digest(x, y) for x, y in frozen.tiles.tolist()
             }
+
+
+class Restless(View):
+    """A map that changes whenever a reader lets go of it: what is read in two holds is of two states."""
+
+    @contextmanager
+    def reading(self) -> Iterator[RoughMap]:
+        with super().reading() as rough_map:
+            yield rough_map
+        with self.change() as rough_map:
+            rough_map.add(scattered(np.random.default_rng(rough_map.sequence)), None, T0)
+
+
+def test_an_answer_is_read_in_one_hold_of_the_map() -> None:
+    made = Served(settings=POINT)
+    made.view = Restless(made.map, 5)
+    with made as served:
+        tiles = list(get(served.asker, "maps/site/tiles/*/*/*?layers=count;dtype=f8").tiles().values())
+        (sequence,) = {tile.info["map_sequence"] for tile in tiles}
+        for level in range(3):
+            assert count([tile for tile in tiles if tile.info["z"] == level]) == points(sequence)
+        (sample,) = get(served.asker, f"maps/site/region?layers=count;dtype=f8;bbox={BOX}").ok
+        region = RawTile(sample)
+        assert count([region]) == points(region.info["map_sequence"])
+        assert served.map.sequence > region.info["map_sequence"] > sequence
