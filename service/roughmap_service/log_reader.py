@@ -90,6 +90,9 @@ def raw_records(path: Path) -> Iterator[tuple[McapRecord, int]]:
         except EndOfFile:
             raise TornLog(f"{path}: the file ends before its footer") from None
         except _DAMAGE as error:
+            if isinstance(error, struct.error | UnicodeDecodeError) and not stream.read(1):
+                # The library tells an end at a field's beginning from damage, but not one in the midst of a field.
+                raise TornLog(f"{path}: the file ends before its footer") from None
             raise LogError(
                 f"{path}: damaged at or before byte {stream.tell()}: {error or type(error).__name__}"
             ) from None
