@@ -87,6 +87,8 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         (["query", "--bbox", "0,0,1,1", "--layers", "mean_height,colour"], "unknown layer 'colour' (allowed:"),
         (["simulate", "--robots", "0"], "--robots"),
         (["simulate", "--from", "absent.npz"], "absent.npz"),
+        (["simulate", "--connect", "7447"], "PROTOCOL/ADDRESS"),
+        (["query", "--bbox", "0,0,1,1", "--connect", "localhost:7447"], "PROTOCOL/ADDRESS"),
         (["build", "absent.npz", "-o", "map.db"], "absent.npz"),
         (["build"], "CLOUDS"),
         (["config", "check", "--set", "map.cell_size"], "KEY=VALUE"),
@@ -110,7 +112,9 @@ def test_nobody_there_is_one_line_and_exit_1(capsys: pytest.CaptureFixture[str])
     # Port 1 on loopback: nobody listens there.
     code, _, err = called(["query", "--bbox", "0,0,1,1", "--connect", "tcp/127.0.0.1:1", "--timeout", "0.5"], capsys)
     assert code == 1
-    assert err.startswith("roughmap: ")
+    assert err.startswith("roughmap: no connection to tcp/127.0.0.1:1 ")
+    assert "is `roughmap serve` up there" in err
+    assert ".rs" not in err  # no place in the transport's own sources
     assert err.count("\n") == 1
 
 

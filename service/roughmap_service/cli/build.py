@@ -64,7 +64,7 @@ def build(
     points, rejected = _fill(built, clouds, Settings(config), sensor, range_sigma)
     for stale in (output, *(output.with_name(output.name + end) for end in ("-wal", "-shm"))):
         stale.unlink(missing_ok=True)
-    Store(output).write_map(built, config.identity(), configuration_digest(config), uuid.uuid4().hex)
+    Store(output).write_map(built, config.public_dict(), configuration_digest(config), uuid.uuid4().hex)
     seconds = time.monotonic() - begun
     report = {
         "output": str(output),
