@@ -115,7 +115,9 @@ class LogFile:
         self._closed = False
         self._stream = open_file(path)
         try:
-            self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=COMPRESSIONS[compression])
+            self._writer = Writer(
+                self._stream, chunk_size=CHUNK_BYTES, compression=COMPRESSIONS[compression], enable_data_crcs=True
+            )
             self._channels: dict[tuple[Kind, str], int] = {}
             self._schemas: dict[Kind, int] = {}
             self._writer.start(profile=PROFILE)

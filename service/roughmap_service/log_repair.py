@@ -37,7 +37,7 @@ def repair(path: Path) -> Path | None:
     torn = path.with_name(path.name + ".torn")
     whole = path.with_name(path.name + ".part")
     with whole.open("wb") as stream:
-        writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
+        writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True)
         writer.start(profile=PROFILE)
         end = _copy(path, writer)
         writer.finish()

@@ -1,0 +1,101 @@
+"""Files that were damaged or are none of ours: told in one line that names them, and nothing is made up of them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from service_tools import Run, read_back
+
+from roughmap_service.log_reader import LogError, LogItem, RunFile, TornLog, read_file, read_metadata, read_run
+
+
+@pytest.fixture(scope="module")
+def closed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of a run, with its footer."""
+    directory = tmp_path_factory.mktemp("log")
+    with Run(directory) as run:
+        for n in range(3):
+            run.scan(float(n))
+            run.checkpoint()
+    (path,) = directory.iterdir()
+    return path
+
+
+def read(path: Path) -> tuple[list[LogItem], LogError | None]:
+    """What the reader gives of a file, and how it ended; any other error than LogError is the test's."""
+    items = []
+    try:
+        for item in read_file(path):
+            items.append(item)  # noqa: PERF402 - what came before the end counts
+    except LogError as error:
+        return items, error
+    return items, None
+
+
+@settings(max_examples=250, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(place=st.floats(0, 1, exclude_max=True), value=st.integers(1, 255))
+def test_a_changed_byte_is_told_or_of_no_account(closed: Path, tmp_path: Path, place: float, value: int) -> None:
+    """A checksum stands over all that counts; what lies behind it is no part of the run."""
+    data = bytearray(closed.read_bytes())
+    data[int(place * len(data))] ^= value
+    path = tmp_path / closed.name
+    path.write_bytes(data)
+    items, fault = read(path)
+    if fault is None:
+        assert items[1:] == read(closed)[0][1:]
+    else:
+        assert str(path) in str(fault)
+        assert "\n" not in str(fault)
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(place=st.floats(0, 1), length=st.integers(1, 3000), seed=st.integers(0, 2**32 - 1), keep=st.booleans())
+def test_noise_is_told(closed: Path, tmp_path: Path, place: float, length: int, seed: int, keep: bool) -> None:
+    """In the midst of a file, or instead of its end: whatever lengths it claims, nothing large is allocated."""
+    data = closed.read_bytes()
+    at = int(place * (len(data) - 1))
+    path = tmp_path / closed.name
+    path.write_bytes(data[:at] + np.random.default_rng(seed).bytes(length) + (data[at + length :] if keep else b""))
+    items, fault = read(path)
+    whole = read(closed)[0]
+    if fault is None:
+        assert items[1:] == whole[1:]
+    else:
+        assert str(path) in str(fault)
+        assert "\n" not in str(fault)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"no log at all, but bytes enough " * 9, b"\x89MCAP0\r\n" + b"no log either " * 20, b"\x89PNG\r\n\x1a\n", b"text"],
+    ids=["text", "a log's first bytes", "a picture", "a word"],
+)
+def test_a_foreign_file(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "holiday.mcap"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=r"holiday\.mcap: ") as caught:
+        read_metadata(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_tear_in_the_midst_of_a_run_is_a_gap_only_if_something_is_missing(tmp_path: Path) -> None:
+    """A file left behind when the disk failed has no footer, and what it lacks is first in the next one."""
+    with Run(tmp_path) as run:
+        run.scan(0.0)
+        run.rotate()
+        run.scan(1.0)
+    whole = read_back(tmp_path)
+    first, second = sorted(tmp_path.iterdir())
+    files = [RunFile(path, read_metadata(path)) for path in (first, second)]
+    data = first.read_bytes()
+    # The data end record: opcode 15, of four bytes; no record of the run stands behind it.
+    end = data.rindex(b"\x0f" + (4).to_bytes(8, "little"))
+    first.write_bytes(data[:end])
+    with pytest.raises(TornLog):
+        list(read_file(first))
+    assert list(read_run(files))[1:] == whole[1:]
+    first.write_bytes(data[: end - 300])  # within the last chunk
+    with pytest.raises(LogError, match=r"gap: .* begins with input 4, record 6; expected 1, 1"):
+        list(read_run(files))
