@@ -43,12 +43,12 @@ def repair(path: Path) -> Path | None:
         writer.finish()
         stream.flush()
         os.fsync(stream.fileno())
-    size = path.stat().st_size
+    over = not end or path.stat().st_size > end
     if not end:
         path.rename(torn)
         whole.unlink()
     else:
-        if size > end:
+        if over:
             with path.open("rb") as source, torn.open("wb") as rest:
                 source.seek(end)
                 shutil.copyfileobj(source, rest)
@@ -56,9 +56,9 @@ def repair(path: Path) -> Path | None:
                 os.fsync(rest.fileno())
         whole.rename(path)
     sync_directory(path.parent)
-    where = f"the rest is in {torn.name}" if size > end else "nothing was torn"
+    where = f"the rest is in {torn.name}" if over else "nothing was torn"
     log.warning("%s had no footer: %s whole bytes kept, %s", path.name, end, where)
-    return torn if size > end else None
+    return torn if over else None
 
 
 def _copy(path: Path, writer: Writer) -> int:
@@ -82,7 +82,7 @@ def _copy(path: Path, writer: Writer) -> int:
                     channels[record.channel_id], record.log_time, record.data, record.publish_time, record.sequence
                 )
             end = behind
-    except LogError:
+    except (LogError, KeyError):  # KeyError: of a channel or schema that was never told
         # After a kill only the end can be torn; after a power cut it may hold anything. Either way it ends here.
         pass
     return end if begun else 0
