@@ -128,6 +128,15 @@ def test_older_than_the_pose_buffer() -> None:
     assert desk.all() == [(late, CloudReason.LATE), (edge, INTEGRATED)]
 
 
+def test_begun_before_the_pose_buffer_is_late_whole() -> None:
+    """Though the pose that stays before the horizon would cover it: whether one stays there is chance."""
+    desk = Desk()
+    for t in (0.0, 9.9, 10.1, 20.0):
+        desk.pose(t)
+    number = desk.cloud(9.95, 10.05)
+    assert desk.all() == [(number, CloudReason.LATE)]
+
+
 def test_a_cloud_in_the_maps_frame_waits_for_no_pose() -> None:
     desk = Desk()
     number = desk.cloud(0.1, frame="map")
