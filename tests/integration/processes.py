@@ -199,7 +199,7 @@ class Feed:
         def reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
                 told(Receipt.model_validate_json(reply.ok.payload.to_bytes()))
-            elif reply.replier_id is not None and reply.err is not None:
+            elif reply.err is not None and reply.err.payload.to_bytes() != b"Timeout":  # Zenoh's own
                 told(QueryError.model_validate_json(reply.err.payload.to_bytes()).code)
 
         self.session.get(
