@@ -94,6 +94,7 @@ class LogWriter:
         self._held = 0  # bytes queued or not yet on the disk
         self._stop = False
         self._rotating = 0  # ends of the file that are asked for and not done
+        self._unbegun: Path | None = None  # a file of ours whose beginning could not be written
         self._todo: deque[Item] = deque()
         self._unsynced: list[Item] = []
         self._mark = self._synced = Mark(
@@ -251,7 +252,8 @@ class LogWriter:
             with self._wake:
                 if self._wake.wait_for(lambda: self._stop, RETRY_SECONDS):
                     log.error("the log was given up: %s", self.error)
-                    self._file.let_go()
+                    with contextlib.suppress(OSError):
+                        self._file.abandon(self._length)
                     return False
             try:
                 self._file.abandon(self._length)
@@ -293,10 +295,15 @@ class LogWriter:
 
     def _open(self, metadata: RunMetadata, last_ns: int = 0) -> LogFile:
         path = self._directory / file_name(metadata.run, metadata.index)
+        if path == self._unbegun:
+            path.unlink(missing_ok=True)
         try:
             return LogFile(path, metadata, self._compression, self._open_file, last_ns=last_ns)
+        except FileExistsError:
+            raise  # whatever it is, it is not ours to delete
         except OSError:
             # A file without its beginning is no file of the run; the next try takes the same name.
+            self._unbegun = path
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)
             raise

@@ -1,0 +1,198 @@
+"""A disk that fails at any place: in the end all is there once, in order, and no more was promised than was held."""
+
+import errno
+import io
+import logging
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from service_tools import T0, WAIT_S, inputs_of, metadata, odometry, read_back, starts_of
+
+from roughmap_service import log_writer
+from roughmap_service.log_file import Kind, LogRecord, file_name
+from roughmap_service.log_writer import LogWriter, Rotate, Sync
+
+RUN = metadata().run
+
+
+class Disk:
+    """Counts what is done to it, and fails where it is told: ``(what, n)`` is the n-th "open", "write" or "fsync"."""
+
+    def __init__(self, *faults: tuple[str, int]) -> None:
+        self.faults = set(faults)
+        self.counts = {"open": 0, "write": 0, "fsync": 0}
+        self.works = self.broken = False
+        """Whether nothing fails, or everything."""
+
+    def does(self, what: str) -> None:
+        """One operation."""
+        if self.works:
+            return
+        self.counts[what] += 1
+        if self.broken or (what, self.counts[what]) in self.faults:
+            raise OSError(errno.ENOSPC, f"no room ({what} {self.counts[what]})")
+
+    def open(self, path: Path) -> Any:
+        """A new file on it."""
+        raw = _File(path, "xb")
+        raw.disk = self
+        try:
+            self.does("open")
+        except OSError:
+            raw.close()  # the name is there, as after a failure to write the beginning
+            raise
+        return io.BufferedWriter(raw)
+
+
+class _File(io.FileIO):
+    disk: Disk
+
+    def write(self, data: Any) -> int:
+        try:
+            self.disk.does("write")
+        except OSError:
+            super().write(bytes(data)[: len(data) // 2])  # a full disk takes a part
+            raise
+        return super().write(data)
+
+    def fileno(self) -> int:
+        self.disk.does("fsync")  # which is what the number is asked for
+        return super().fileno()
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log_writer, "RETRY_SECONDS", 0.001)
+
+
+def record(number: int) -> LogRecord:
+    return LogRecord(Kind.ODOMETRY, "robots/rover/odometry", odometry(number / 10), T0, T0 + number, number)
+
+
+def numbers_on(directory: Path) -> list[int]:
+    return [item.number for item in inputs_of(read_back(directory))]
+
+
+class Noticed(logging.Handler):
+    """Set once the writer has told that the log can't be written."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        self.event = threading.Event()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.event.set()
+
+    def wait(self) -> None:
+        assert self.event.wait(WAIT_S), "the writer noticed nothing"
+
+
+@pytest.fixture
+def noticed() -> Iterator[Noticed]:
+    handler = Noticed()
+    log_writer.log.addHandler(handler)
+    yield handler
+    log_writer.log.removeHandler(handler)
+
+
+operations = st.tuples(st.sampled_from(["open", "write", "fsync"]), st.integers(1, 25))
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(faults=st.sets(operations, max_size=8), syncs=st.sets(st.integers(1, 30)), rotations=st.sets(st.integers(1, 30)))
+def test_nothing_is_lost_or_doubled_wherever_it_fails(
+    tmp_path_factory: pytest.TempPathFactory, faults: set[tuple[str, int]], syncs: set[int], rotations: set[int]
+) -> None:
+    """Every place but the very first file's beginning, where there is no log yet that could be kept."""
+    directory = tmp_path_factory.mktemp("log")
+    disk = Disk(*faults)
+    disk.works = True
+    held: dict[int, list[int]] = {}
+
+    def synced(number: int) -> Sync:
+        return Sync(lambda: held.update({number: numbers_on(directory)}))
+
+    with LogWriter(directory, metadata(), open_file=disk.open) as writer:
+        disk.works = False
+        for number in range(1, 31):
+            writer.put(record(number))
+            if number in syncs:
+                writer.put(synced(number))
+            if number in rotations:
+                writer.put(Rotate("0" * 32))
+        assert writer.wait_synced(WAIT_S)
+        assert writer.wait_room(WAIT_S)
+        assert (writer.ok, writer.error) == (True, "")
+        disk.works = True
+    assert writer.ok
+    assert numbers_on(directory) == list(range(1, 31))
+    assert [item.payload for item in inputs_of(read_back(directory))] == [record(n).payload for n in range(1, 31)]
+    assert sorted(held) == sorted(syncs)
+    for number, seen in held.items():
+        assert seen[:number] == list(range(1, number + 1)), "what was promised was on the disk"
+
+
+@pytest.mark.parametrize("what", ["open", "write", "fsync"])
+def test_a_disk_that_fails_at_the_start(tmp_path: Path, what: str) -> None:
+    """There is no log yet to keep: whoever wants one hears it, and no half file is left."""
+    with pytest.raises(OSError, match="no room"):
+        LogWriter(tmp_path, metadata(), open_file=Disk((what, 1)).open)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_while_it_fails(tmp_path: Path, noticed: Noticed) -> None:
+    """It says so, drops outputs, promises nothing; afterwards it goes on by itself."""
+    disk = Disk()
+    with LogWriter(tmp_path, metadata(), open_file=disk.open) as writer:
+        writer.put(record(1))
+        assert writer.wait_synced(WAIT_S)
+        disk.broken = True
+        done = threading.Event()
+        writer.put(record(2))
+        writer.put(Sync(done.set))
+        noticed.wait()
+        assert "no room" in writer.error
+        assert not writer.wait_room(0.0)
+        assert not writer.put_output(record(0))
+        assert not writer.wants_rotation()
+        assert not done.is_set()
+        disk.broken = False
+        assert done.wait(WAIT_S)
+        assert writer.wait_room(WAIT_S)
+        assert writer.error == ""
+        assert writer.put_output(record(0)), "outputs are taken again"
+    starts = [start.metadata for start in starts_of(read_back(tmp_path))]
+    assert [(m.index, m.first_input, m.first_record, m.base_digest) for m in starts] == [(0, 1, 1, ""), (1, 2, 2, "")]
+
+
+def test_an_end_while_it_fails(tmp_path: Path) -> None:
+    """It ends in time and says that not all was kept; what was synced is there."""
+    disk = Disk()
+    writer = LogWriter(tmp_path, metadata(), open_file=disk.open)
+    writer.put(record(1))
+    assert writer.wait_synced(WAIT_S)
+    disk.broken = True
+    writer.put(record(2))
+    assert not writer.close(WAIT_S)
+    assert numbers_on(tmp_path) == [1]
+
+
+def test_a_file_that_is_in_the_way_stays(tmp_path: Path, noticed: Noticed) -> None:
+    """The next file's name is taken by something that isn't ours: no log is worth deleting it."""
+    other = tmp_path / file_name(RUN, 1)
+    other.write_bytes(b"another's")
+    with LogWriter(tmp_path, metadata()) as writer:
+        writer.put(record(1))
+        writer.put(Rotate("0" * 32))
+        noticed.wait()
+        assert other.name in writer.error
+        assert other.read_bytes() == b"another's"
+        other.rename(tmp_path / "moved")
+        writer.put(record(2))
+        assert writer.wait_synced(WAIT_S)
+    assert numbers_on(tmp_path) == [1, 2]
