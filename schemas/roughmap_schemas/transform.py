@@ -7,6 +7,7 @@ import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from numpy.typing import ArrayLike
 
+from roughmap_schemas.faults import bad_message
 from roughmap_schemas.geometry import (
     Quaternion,
     Vector,
@@ -20,6 +21,9 @@ from roughmap_schemas.geometry import (
 from roughmap_schemas.wire import check_outline, check_size, parse
 
 WHAT: Final = "foxglove.FrameTransform"
+
+MAX_FRAME: Final = 256
+"""Characters of a frame's name: it is kept, a frame each, so its length must have a bound."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +45,10 @@ def decode_transform(payload: bytes, *, max_message: int) -> Transform:
     check_size(payload, WHAT, max_message)
     check_outline(payload, FrameTransform)
     message = parse(payload, FrameTransform)
+    if len(message.child_frame_id) > MAX_FRAME:
+        raise bad_message(
+            f"{WHAT}.child_frame_id: expected at most {MAX_FRAME} characters; found {len(message.child_frame_id)}"
+        )
     return Transform(
         read_stamp(message, WHAT),
         message.parent_frame_id,

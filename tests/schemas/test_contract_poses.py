@@ -21,7 +21,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from roughmap_schemas import Odometry, decode_odometry, decode_transform, encode_odometry, encode_transform
+from roughmap_schemas import (
+    MessageFault,
+    Odometry,
+    decode_odometry,
+    decode_transform,
+    encode_odometry,
+    encode_transform,
+)
 from roughmap_schemas.geometry import normalised
 
 roots = hnp.arrays(np.float64, (6, 6), elements=st.floats(-10, 10).map(lambda v: round(v, 6)))
@@ -171,3 +178,12 @@ def test_symmetry_is_relative(scale: float) -> None:
 def test_covariances_of_another_shape_are_not_encoded(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="reshape"):
         encode_odometry(0, "map", (0, 0, 0), (0, 0, 0, 1), np.zeros(shape))
+
+
+def test_a_frames_name_has_a_bound() -> None:
+    """Names of frames are kept, so they come from outside with a limit."""
+    at_the_limit = encode_transform(5, "map", "o" * 256, (0, 0, 0), (0, 0, 0, 1))
+    assert decode_transform(at_the_limit, max_message=1 << 20).child_frame_id == "o" * 256
+    beyond = encode_transform(5, "map", "o" * 257, (0, 0, 0), (0, 0, 0, 1))
+    with pytest.raises(MessageFault, match=r"bad_message.*child_frame_id: expected at most 256"):
+        decode_transform(beyond, max_message=1 << 20)
