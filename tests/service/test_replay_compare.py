@@ -75,6 +75,14 @@ def test_every_fine_tile_is_looked_at_however_the_grids_lie() -> None:
     assert (found.cells, found.only_before, found.only_now) == (0, 0, len(centres) * len(centres[::10]))
 
 
+@pytest.mark.parametrize(("i", "j"), [(63, 63), (64, 63), (63, 64), (64, 64)])
+def test_a_fine_tile_over_a_corner_of_coarse_ones(i: int, j: int) -> None:
+    """One point in the fine tile (1, 1), in each of the four coarse tiles that it lies over."""
+    at = ((i + 0.5) * 0.13, (j + 0.5) * 0.13, 1.0)
+    found = of("count", make(0.13, []), make(0.1, [at]))
+    assert (found.cells, found.only_before, found.only_now) == (0, 0, 1)
+
+
 def test_empty_maps() -> None:
     found = of("mean_height", make(0.1, []), make(0.2, []))
     assert (found.cells, found.only_before, found.only_now) == (0, 0, 0)

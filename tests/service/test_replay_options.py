@@ -1,6 +1,7 @@
 """`roughmap replay` from a store, into a log of its own, and under other settings."""
 
 import json
+from dataclasses import replace as with_values
 from pathlib import Path
 
 import pytest
@@ -134,3 +135,27 @@ def test_what_if_of_no_setting_is_seen_first(change: str, logs: Path) -> None:
     outcome = replay(logs, "--what-if", change)
     refused(outcome, "--what-if ")
     assert "replay:" not in outcome[2]
+
+
+def test_a_store_that_the_logs_dont_go_on_from(logs: Path, tmp_path: Path) -> None:
+    """A cloud that waited at the cut lies in a file that is not there; or the store's map is another map."""
+    store = Store(tmp_path / "map.db")
+    with Run(logs, store=store) as run:
+        run.put(Kind.POINTS, cloud(0.05))
+        run.rotate()
+        run.snapshot()
+        run.put(Kind.ODOMETRY, odometry(0.0))
+        run.put(Kind.ODOMETRY, odometry(0.1))
+        assert [event.outcome for event in run.decide()] == ["integrated"]
+        run.checkpoint()
+    files = sorted(logs.glob("*.mcap"))
+    refused(replay(files[1], "--from", store.path), "gap: the logs begin at input 2")
+    assert replay(logs, "--from", store.path)[0] == 0
+    cut = store.read_cut()
+    assert cut is not None
+    with RoughMap() as empty, empty.freeze() as frozen:
+        store.write(with_values(cut, configuration_digest="0" * 32), frozen, None)
+    refused(replay(logs, "--from", store.path), "maps of other settings")
+    refused(replay(logs, "--from", logs.parent / "empty.db"), "empty.db")
+    (logs.parent / "text.db").write_text("no SQLite file" * 100)
+    refused(replay(logs, "--from", logs.parent / "text.db"), "text.db")
