@@ -87,11 +87,6 @@ class Config(Section):
             )
         if self.log.keep is not None and self.store.path is None:
             raise ValueError('log.keep: must be "" (all) unless store.path is set: files can\'t be spared otherwise')
-        if self.input.max_message > self.input.queue_limit:
-            raise ValueError(
-                f"input.max_message: must be at most input.queue_limit ({self.input.queue_limit} bytes), or a cloud of "
-                f"that size could never wait for its poses; found {self.input.max_message}"
-            )
         if self.map.frame_id in self.sensors:
             raise ValueError(f"sensors.{self.map.frame_id}: must not be the map's own frame (map.frame_id)")
         for name, robot in self.robots.items():

@@ -225,7 +225,6 @@ def test_nothing_is_written_as_an_empty_text() -> None:
 def test_keeping_a_part_of_the_log_needs_a_store() -> None:
     assert fault({"log": {"keep": "1GiB"}}).startswith("here.toml: log.keep: ")
     assert config_from({"log": {"keep": "1GiB"}, "store": {"path": "map.db"}}, "here").log.keep == 1 << 30
-    assert fault({"input": {"max_message": "1MiB", "queue_limit": "1MB"}}).startswith("here.toml: input.max_message: ")
 
 
 def test_the_maps_own_frame_is_no_sensor() -> None:
