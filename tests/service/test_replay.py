@@ -22,6 +22,7 @@ from service_tools import (
 
 from roughmap_schemas import IntegrationEvent, decode_event, encode_event, encode_odometry
 from roughmap_service.recovery import recover
+from roughmap_service.store import Store, StoreError
 
 
 @pytest.fixture
@@ -40,6 +41,8 @@ def test_a_whole_log_is_equal(logs: Path, tmp_path: Path) -> None:
     code, told, _ = replay(logs, "--json", "-o", tmp_path / "map.db")
     assert (code, json.loads(told)) == (0, {"verdict": equal, "equal": True, "events": 14})
     assert stored(tmp_path / "map.db").digest() == digest
+    with pytest.raises(StoreError, match="the newest log of run"):
+        recover(config(), logs, Store(tmp_path / "map.db"))
 
 
 def test_resets_and_restarts_with_other_settings_are_equal(logs: Path) -> None:

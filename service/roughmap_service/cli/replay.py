@@ -72,6 +72,7 @@ def replay(
         if changes:
             state, result["what_if"] = _what_if(logs, total, change, done.state, changes, as_json=as_json)
         if out is not None:
+            # A run of its own: a service would take this for the logged run's beginning, and fold the log once more.
             _store(out, state, change(done.config), uuid.uuid4().hex)
         if log_out is not None:
             _log(logs, total, log_out, change)
