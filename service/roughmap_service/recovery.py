@@ -1,18 +1,30 @@
 """At start-up: from the store and the log to the map as it was, and to what was still undecided."""
 
+import contextlib
 import logging
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 
-from roughmap_schemas import Config, ResetEvent, configuration_digest
+from roughmap_schemas import Config, IntegrationEvent, ResetEvent, configuration_digest
 
 from .apply import RunError, RunState
 from .fold import fold
 from .ingest import Duplicates
 from .log_file import Kind
-from .log_reader import EventRecord, FileStart, InputRecord, LogError, LogItem, RunFile, find_files, one_run, read_run
+from .log_reader import (
+    FileStart,
+    InputRecord,
+    LogError,
+    LogItem,
+    RunFile,
+    find_files,
+    one_run,
+    read_metadata,
+    read_run,
+)
 from .log_repair import repair
 from .settings import Settings, new_map
 from .store import Cut, OtherStateVersion, Store, StoreError
@@ -30,7 +42,8 @@ class IdentityError(Exception):
 @dataclass
 class Recovered:
     """Where a run goes on. ``undecided`` are (input, robot, bytes) of clouds that wait anew; ``cut`` is the
-    store's, and ``was_reset`` says that the map was emptied since that cut."""
+    store's, and ``was_reset`` says that the map was emptied since that cut. The next file's ``created_ns`` must be at
+    least ``not_before_ns``, so that this run is the newest there whatever the clock says."""
 
     state: RunState
     duplicates: Duplicates
@@ -40,6 +53,7 @@ class Recovered:
     cut: Cut | None = None
     undecided: list[tuple[int, str, int]] = field(default_factory=list)
     was_reset: bool = False
+    not_before_ns: int = 0
 
 
 Progress = Callable[[int, int], None]
@@ -106,6 +120,16 @@ def blank(config: Config) -> Recovered:
     return Recovered(RunState(Settings(config), new_map(config)), Duplicates(config.input.duplicates))
 
 
+def begin_anew(config: Config, directory: Path) -> Recovered:
+    """The beginning of a run that is newer than all whose files lie in the directory."""
+    result = blank(config)
+    for path in directory.glob("*.mcap"):
+        if FILE_NAME.fullmatch(path.name):
+            with contextlib.suppress(LogError, OSError):  # what can't be read is no run that could be taken for newer
+                result.not_before_ns = max(result.not_before_ns, read_metadata(path).created_ns + 1)
+    return result
+
+
 def newest_run(directory: Path, run: str | None) -> list[RunFile]:
     """The files of ``run``, or of the newest run there; files that a kill left torn are repaired first."""
     ours = [path for path in sorted(directory.glob("*.mcap")) if FILE_NAME.fullmatch(path.name)]
@@ -158,6 +182,7 @@ def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: 
     state = result.state
     waiting: dict[int, tuple[str, int]] = {}
     done = end = 0
+    own = warned = False
 
     def items() -> Iterator[LogItem]:
         nonlocal end
@@ -171,15 +196,24 @@ def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: 
             if progress is not None:
                 progress(done, len(files))
             done += 1
+            own = item.metadata.version == version("roughmap")
         elif isinstance(item, InputRecord):
             if item.kind is Kind.POINTS:
                 waiting[item.number] = item.robot, len(item.payload)
             if item.record > taken:
                 identity = Duplicates.identity(item.robot, item.kind, item.payload)
                 result.duplicates.add(identity, item.number)
-        elif isinstance(item, EventRecord) and step.outcome != item.event:
-            raise RunError(f"the log can't be followed: its event {item.event} came out as {step.outcome}")
-        elif isinstance(step.outcome, ResetEvent):
-            result.was_reset = True
+        else:
+            if step.outcome != item.event:
+                told = f"its event {item.event} came out as {step.outcome}"
+                if own:
+                    raise RunError(f"the log can't be followed: {told}")
+                if not warned:  # the same bytes are promised within a release only
+                    log.warning("the log is of another version, and the map comes out another: %s", told)
+                warned = True
+            if isinstance(item.event, IntegrationEvent):
+                waiting.pop(item.event.input, None)
+            elif isinstance(item.event, ResetEvent):
+                result.was_reset = True
     result.undecided = [(number, *waiting[number]) for number in sorted(state.clouds)]
     return end

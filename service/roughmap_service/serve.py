@@ -35,7 +35,7 @@ from .intake import Intake, ZenohInputs
 from .log_file import Kind, LogRecord
 from .log_writer import LogWriter
 from .recovery import Progress as RecoveryProgress
-from .recovery import Recovered, blank, recover
+from .recovery import Recovered, begin_anew, recover
 from .sequencer import Intervals, Sequencer
 from .snapshots import Snapshots, cut_of
 from .status import Progress, Status, StatusPublisher
@@ -183,16 +183,15 @@ def _recovered(
     if not fresh:
         return recover(config, directory, store, progress)
     if store is not None and store.exists():
-        old = store.read_cut()
-        log.warning("a new run; the old store is %s", store.set_aside(old.run if old else "empty"))
-    return blank(config)
+        log.warning("a new run; the old store is %s", store.set_aside())
+    return begin_anew(config, directory)
 
 
 def _metadata(config: Config, run: str, recovered: Recovered) -> RunMetadata:
     state = recovered.state
     return RunMetadata(
         run=run,
-        created_ns=time.time_ns(),
+        created_ns=max(time.time_ns(), recovered.not_before_ns),
         epoch=recovered.epoch,
         index=recovered.index,
         first_input=state.input + 1,

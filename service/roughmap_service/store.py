@@ -3,7 +3,7 @@
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -109,10 +109,10 @@ class Store:
             for tx, ty, oldest, newest, digest, blob in db.execute(
                 "SELECT tx, ty, oldest_ns, newest_ns, digest, records FROM tiles ORDER BY tx, ty"
             ):
-                try:
-                    raw = unpack.decompress(blob, max_output_size=TILE_BYTES)
-                except zstandard.ZstdError:
-                    raw = b""
+                raw = b""
+                with suppress(zstandard.ZstdError, TypeError):
+                    if zstandard.frame_content_size(blob) == TILE_BYTES:  # before anything is allocated for it
+                        raw = unpack.decompress(blob)
                 if len(raw) != TILE_BYTES or xxhash.xxh3_128_digest(raw) != digest:
                     raise StoreError(f"{self.path}: tile ({tx}, {ty}) is damaged; move the file away to rebuild it")
                 yield StoredTile(tx, ty, oldest, newest, digest, np.frombuffer(raw, CELL_DTYPE))
@@ -121,7 +121,10 @@ class Store:
         """Fill an empty map with the stored tiles, at the cut's sequence."""
         rough_map.set_sequence(cut.sequence)
         for tile in self.read_tiles():
-            rough_map.load_tile(tile.tx, tile.ty, tile.records, tile.oldest_ns, tile.newest_ns, tile.digest)
+            try:
+                rough_map.load_tile(tile.tx, tile.ty, tile.records, tile.oldest_ns, tile.newest_ns, tile.digest)
+            except ValueError as error:
+                raise StoreError(f"{self.path}: damaged ({error}); move the file away to rebuild it") from None
 
     def write(self, cut: Cut, frozen: Frozen, after: int | None) -> None:
         """Commit a cut: the tiles of ``frozen`` that changed after sequence ``after`` (None: all, and no others).
@@ -158,17 +161,31 @@ class Store:
         with rough_map.freeze() as frozen:
             self.write(cut, frozen, None)
 
-    def set_aside(self, run: str) -> Path:
-        """Rename the store to map.db.RUN, so that a new run may begin; returns the new name."""
+    def set_aside(self, run: str | None = None) -> Path:
+        """Rename the store to map.db.RUN, so that a new run may begin; returns the new name.
+
+        ``run`` None: the one that it is of, "empty" or "unknown". StoreError, and nothing renamed, for what is none.
+        """
+        if run is None:
+            run = self._run()
         with closing(sqlite3.connect(self.path, timeout=5.0)) as db:
             db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             db.execute("PRAGMA journal_mode = DELETE")
         return self.path.rename(self.path.with_name(f"{self.path.name}.{run}"))
 
+    def _run(self) -> str:
+        """The run that the store is of, whatever its version."""
+        with self._reading() as db:
+            if not db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+                return "empty"
+            row = db.execute("SELECT value FROM cut WHERE name = 'run'").fetchone()
+        run = "" if row is None else str(row[0]).strip('"')
+        return run if run.isalnum() else "unknown" if run else "empty"
+
     @contextmanager
     def _reading(self) -> Iterator[sqlite3.Connection]:
         try:
-            with closing(sqlite3.connect(f"file:{self.path}?mode=rw", uri=True, timeout=5.0)) as db:
+            with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=rw", uri=True, timeout=5.0)) as db:
                 yield db
         except sqlite3.Error as error:
             raise StoreError(f"{self.path}: {error}; it is no map.db, or damaged") from None

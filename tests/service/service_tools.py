@@ -3,6 +3,7 @@
 import shutil
 import uuid
 from collections.abc import Callable, Iterable
+from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self
@@ -66,7 +67,7 @@ def metadata(**values: Any) -> RunMetadata:
         "first_record": 1,
         "base_sequence": 0,
         "base_digest": "",
-        "version": "0",
+        "version": version("roughmap"),
         "configuration": config().public_dict(),
         **values,
     }
