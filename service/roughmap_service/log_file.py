@@ -75,6 +75,24 @@ class LogRecord:
     sequence: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A place in the run: the last input and record before it, and the epoch and sequence of the last event."""
+
+    input: int
+    record: int
+    epoch: int
+    sequence: int
+
+    def after(self, record: LogRecord) -> "Mark":
+        """The place behind a record."""
+        if record.kind in INPUTS:
+            return Mark(record.number, self.record + 1, self.epoch, self.sequence)
+        if record.kind is Kind.EVENTS:
+            return Mark(self.input, self.record + 1, record.epoch, record.sequence)
+        return self
+
+
 def file_name(run: str, index: int) -> str:
     """Name of a run's file; names sort as the files were written."""
     return f"roughmap-{run}-{index:06d}.mcap"

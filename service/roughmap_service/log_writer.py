@@ -13,7 +13,7 @@ from typing import Self
 
 from roughmap_schemas import RunMetadata
 
-from .log_file import INPUTS, Kind, LogFile, LogRecord, OpenFile, file_name, open_new
+from .log_file import LogFile, LogRecord, Mark, OpenFile, file_name, open_new
 
 log = logging.getLogger(__name__)
 
@@ -42,24 +42,6 @@ class Rotate:
 
 
 Item = LogRecord | Sync | Rotate
-
-
-@dataclass(frozen=True, slots=True)
-class Mark:
-    """A place in the run: the last input and record before it, and the epoch and sequence of the last event."""
-
-    input: int
-    record: int
-    epoch: int
-    sequence: int
-
-    def after(self, record: LogRecord) -> "Mark":
-        """The place behind a record."""
-        if record.kind in INPUTS:
-            return Mark(record.number, self.record + 1, self.epoch, self.sequence)
-        if record.kind is Kind.EVENTS:
-            return Mark(self.input, self.record + 1, record.epoch, record.sequence)
-        return self
 
 
 class LogWriter:
