@@ -7,10 +7,15 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap import RoughMap
+from roughmap.cell import TILE_CELLS, TILE_SHIFT
+from roughmap.frozen import Frozen
 from roughmap.layers import LAYERS
 
 SKIPPED = ("age",)
 """Layers that say when, not what: they differ by nothing that a setting changes."""
+
+ZERO_IS_UNKNOWN = ("count", "weight")
+"""Layers that are 0, not NaN, where nothing is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,19 +32,27 @@ class LayerDifference:
     p95_abs_change: float
 
 
+Arrays = dict[str, npt.NDArray[np.float64]]
+
+
 def compare(before: RoughMap, now: RoughMap) -> list[LayerDifference]:
     """Every layer of two maps, at the cell centres of the one with the larger cells."""
     names = [name for name in LAYERS if name not in SKIPPED]
     pairs: dict[str, list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]] = {name: [] for name in names}
     for ours, theirs in _blocks(before, now, names):
         for name in names:
-            pairs[name].append((ours[name], theirs[name]))
+            a, b = ours[name], theirs[name]
+            told = _known(name, a) | _known(name, b)
+            pairs[name].append((a[told], b[told]))
     return [_difference(name, pairs[name]) for name in names]
 
 
-def _blocks(
-    before: RoughMap, now: RoughMap, names: list[str]
-) -> Iterator[tuple[dict[str, npt.NDArray[np.float64]], dict[str, npt.NDArray[np.float64]]]]:
+def _known(name: str, values: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    known = np.isfinite(values)
+    return known & (values != 0) if name in ZERO_IS_UNKNOWN else known
+
+
+def _blocks(before: RoughMap, now: RoughMap, names: list[str]) -> Iterator[tuple[Arrays, Arrays]]:
     """Both maps' layers at the same places, a tile of the coarser map at a time."""
     coarse, fine = (before, now) if before.cell_size >= now.cell_size else (now, before)
     side = coarse.cell_size
@@ -52,33 +65,47 @@ def _blocks(
         tiles = np.unique(
             np.concatenate([held.tiles, *(np.floor(places).astype(np.int64) for places in corners)]), axis=0
         )
-    for tx, ty in tiles.tolist():
-        x0, y0 = tx * 64 * side, ty * 64 * side
-        box = (x0, y0, x0 + 64 * side, y0 + 64 * side)
-        ours = coarse.region(box, names)
-        other = fine.region((box[0], box[1], box[2] + fine.cell_size, box[3] + fine.cell_size), names)
-        columns = _places(ours.origin[0], side, ours.shape[1], other.origin[0], other.cell_size, other.shape[1])
-        rows = _places(ours.origin[1], side, ours.shape[0], other.origin[1], other.cell_size, other.shape[0])
-        mine = {name: ours[name] for name in names}
-        sampled = {name: other[name][np.ix_(rows, columns)] for name in names}
-        yield (mine, sampled) if coarse is before else (sampled, mine)
+        known = set(map(tuple, finer.tiles.tolist()))
+        for tx, ty in tiles.tolist():
+            mine = held.tile_layers(tx, ty, names)
+            sampled = _sampled(finer, known, names, _cells(tx, side, fine), _cells(ty, side, fine))
+            yield (mine, sampled) if coarse is before else (sampled, mine)
 
 
-def _places(
-    origin: float, side: float, count: int, other: float, other_side: float, limit: int
-) -> npt.NDArray[np.int64]:
-    """In which of the other map's cells the centres of these lie."""
-    centres = origin + (np.arange(count) + 0.5) * side
-    places: npt.NDArray[np.int64] = np.floor((centres - other) / other_side + 1e-9).astype(np.int64)
-    return places.clip(0, limit - 1)
+def _cells(tile: int, side: float, fine: RoughMap) -> npt.NDArray[np.int64]:
+    """(64,): in which of the finer map's cells, along one axis, the cell centres of a coarser tile lie."""
+    centres = (tile * TILE_CELLS + np.arange(TILE_CELLS) + 0.5) * side
+    # Where grids are halves of each other a centre lies on a border: the hair takes the same side everywhere.
+    cells: npt.NDArray[np.int64] = np.floor(centres / fine.cell_size + 1e-9).astype(np.int64)
+    return cells
+
+
+def _sampled(
+    finer: Frozen,
+    known: set[tuple[int, ...]],
+    names: list[str],
+    columns: npt.NDArray[np.int64],
+    rows: npt.NDArray[np.int64],
+) -> Arrays:
+    """The finer map's layers in these cells; of its tiles only those that are there are looked at, one at a time."""
+    out = {name: np.full((len(rows), len(columns)), np.nan) for name in names}
+    tile_columns, tile_rows = columns >> TILE_SHIFT, rows >> TILE_SHIFT
+    for x in np.unique(tile_columns).tolist():
+        for y in np.unique(tile_rows).tolist():
+            if (x, y) not in known:
+                continue
+            found = finer.tile_layers(x, y, names)
+            i, j = np.flatnonzero(tile_columns == x), np.flatnonzero(tile_rows == y)
+            within = np.ix_(rows[j] & (TILE_CELLS - 1), columns[i] & (TILE_CELLS - 1))
+            for name in names:
+                out[name][np.ix_(j, i)] = found[name][within]
+    return out
 
 
 def _difference(name: str, pairs: list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]) -> LayerDifference:
-    a = np.concatenate([pair[0].ravel() for pair in pairs]) if pairs else np.empty(0)
-    b = np.concatenate([pair[1].ravel() for pair in pairs]) if pairs else np.empty(0)
-    known_a, known_b = np.isfinite(a), np.isfinite(b)
-    if name in ("count", "weight"):  # these are 0 where nothing is known
-        known_a, known_b = known_a & (a != 0), known_b & (b != 0)
+    a = np.concatenate([pair[0] for pair in pairs]) if pairs else np.empty(0)
+    b = np.concatenate([pair[1] for pair in pairs]) if pairs else np.empty(0)
+    known_a, known_b = _known(name, a), _known(name, b)
     both = known_a & known_b
     change = b[both] - a[both]
 

@@ -88,3 +88,10 @@ def test_empty_maps() -> None:
     assert (found.cells, found.only_before, found.only_now) == (0, 0, 0)
     assert math.isnan(found.median_change)
     assert math.isnan(found.p95_abs_change)
+
+
+def test_cells_four_hundred_times_as_wide() -> None:
+    """Only tiles that are there are looked at: the box of one coarse tile holds 655 million fine cells."""
+    found = of("mean_height", make(0.05, [(10.01, 10.01, 1.0), (30.01, -9.99, 2.0)]), make(20.0, [(5.0, 5.0, 4.0)]))
+    assert (found.cells, found.only_before, found.only_now) == (1, 1, 0)
+    assert found.median_change == pytest.approx(3.0, abs=1e-12)
