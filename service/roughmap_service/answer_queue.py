@@ -104,8 +104,8 @@ class AnswerQueue:
                 for passed in self._waiting[:place]:
                     passed.passed += 1
                 return self._waiting.pop(place)
-            if not fits and job.passed > self._limit:
-                return None  # it was passed often enough: let the others end, so that it gets room
+            if job.passed > self._limit and (not fits or self._running_cells == 0):
+                return None  # it was passed often enough: let the others end, and another worker take it
         return None
 
     def _work(self, small_only: bool) -> None:

@@ -79,6 +79,8 @@ class Counters:
         """One message that never reached the log."""
         with self._lock:
             self._counts.refused[code] += 1
+            if code == "busy":
+                self._last_overload = time.monotonic()
 
     def gap(self, robot: str, missing: int) -> None:
         """``missing`` messages of a robot were lost on the way here."""

@@ -52,7 +52,7 @@ class Inbox:
     @property
     def waiting(self) -> int:
         """Clouds without a decision."""
-        return sum(len(queue) for queue in self.queues.values())
+        return sum(len(queue) for queue in list(self.queues.values()))  # a copy: the status asks from its own thread
 
     def has_room(self, size: int) -> bool:
         """Whether a cloud of ``size`` bytes fits without ending another."""

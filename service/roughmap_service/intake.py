@@ -19,6 +19,9 @@ from .log_file import Kind
 
 log = logging.getLogger(__name__)
 
+LEAST_COST = 256
+"""Bytes that a queued cloud counts for at least: an empty one costs memory too."""
+
 MAX_POSES_QUEUED = 10_000
 """Poses and transforms between Zenoh and the sequencer: seconds of many robots, and a few MB."""
 
@@ -59,9 +62,9 @@ class Intake:
     def put(self, message: InputMessage) -> None:
         """Queue a message, or drop one and count it."""
         with self._wake:
-            refused = self._admit(message)
+            dropped = self._admit(message)
             self._wake.notify()
-        if refused is not None:
+        for refused in dropped:
             code = Refusal.SHUTTING_DOWN if self.closed else Refusal.BUSY
             self.counters.refuse(code)
             if refused.reply is not None:
@@ -90,27 +93,25 @@ class Intake:
             self.closed = True
             self._wake.notify()
 
-    def _admit(self, message: InputMessage) -> InputMessage | None:
-        """Take the message in; returns the one that had to go, if any."""
+    def _admit(self, message: InputMessage) -> list[InputMessage]:
+        """Take the message in; returns those that had to go."""
         if self.closed:
-            return message
+            return [message]
         if message.kind is not Kind.POINTS:
             if self._poses >= MAX_POSES_QUEUED:
-                return message
+                return [message]
             self._poses += 1
             self._items.append(message)
-            return None
-        size = len(message.payload)
-        dropped = None
-        if self._held.total() + size > self.limit and self._items:
-            if message.reply is not None:
-                return message
-            dropped = self._oldest_of_the_largest() or message
-            if dropped is message:
-                return message
-            self._items.remove(dropped)
-            self._held[dropped.robot] -= len(dropped.payload)
-        self._held[message.robot] += size
+            return []
+        dropped: list[InputMessage] = []
+        while self._held.total() + _cost(message) > self.limit and self._held.total():
+            oldest = None if message.reply is not None else self._oldest_of_the_largest()
+            if oldest is None:
+                return [*dropped, message]
+            self._items.remove(oldest)
+            self._held[oldest.robot] -= _cost(oldest)
+            dropped.append(oldest)
+        self._held[message.robot] += _cost(message)
         self._items.append(message)
         return dropped
 
@@ -120,6 +121,10 @@ class Intake:
                 if item.kind is Kind.POINTS and item.robot == robot and item.reply is None:
                     return item
         return None
+
+
+def _cost(message: InputMessage) -> int:
+    return max(len(message.payload), LEAST_COST)
 
 
 class ZenohInputs:

@@ -90,6 +90,7 @@ class Sequencer:
         self._take_snapshot = take_snapshot
         self._before_reset = before_reset
         self._arrived: dict[int, float] = {}
+        self._robots = set(state.poses)
         self._checkpoint_sequence = 0
         self.newest_stamp_ns = state.map.newest_updated * NS
         self._next_checkpoint = time.monotonic() + intervals.checkpoint
@@ -138,8 +139,9 @@ class Sequencer:
         if raised:
             raise raised[0]
 
-    def reset(self) -> None:
-        """Empty the map: a new epoch, durable before anyone sees it. Call it through `call`."""
+    def reset(self) -> tuple[int, int]:
+        """Empty the map: a new epoch, durable before anyone sees it; (sequence, epoch) that begin with it. Call it
+        through `call`."""
         event = ResetEvent(epoch=self.state.epoch + 1, sequence=self.state.map.sequence + 1)
         if not self._writer.wait_room(IDLE_SECONDS):
             raise MessageFault(Refusal.LOG_UNAVAILABLE, "the log can't be written")
@@ -148,18 +150,21 @@ class Sequencer:
         self._writer.put(Sync(synced.set))
         while not synced.wait(IDLE_SECONDS):
             if self._stopping.is_set():
-                raise ShuttingDown("the service ends; the reset holds after the restart")
+                break  # nobody sees the map any more; what is logged behind the reset must be of the emptied one
         with self.view.change() as rough_map:
             self._before_reset(rough_map)
             self.state.apply(event)
             self.view.epoch = self.state.epoch
+        self.newest_stamp_ns = 0
         self._publish_event(encode_event(event))
+        return event.sequence, event.epoch
 
     def _run(self) -> None:
         try:
             self.checkpoint()  # what was recovered: the last one before a kill may lie behind it, or never came
+            busy = True
             while not self._stopping.is_set():
-                self._turn(self._wait_seconds())
+                busy = self._turn(0.0 if busy else self._wait_seconds())
             while self._turn(0.0):
                 pass
             self.checkpoint()
@@ -174,6 +179,8 @@ class Sequencer:
             self._accept(message)
         for command in commands:
             command()
+        while self.inbox.ended and self._decide():
+            pass  # what only has to be told costs nothing, and must not pile up behind what has to be placed
         decided = self._decide()
         now = time.monotonic()
         if now >= self._next_checkpoint:
@@ -191,7 +198,7 @@ class Sequencer:
         now = time.monotonic()
         due = [self._next_checkpoint, self._next_snapshot, now + IDLE_SECONDS]
         deadline = self.inbox.deadline()
-        if deadline is not None and self._writer.ok:
+        if deadline is not None and self._writer.wait_room(0.0):
             due.append(deadline)
         return max(min(due) - now, 0.0)
 
@@ -213,6 +220,7 @@ class Sequencer:
             return
         if isinstance(content, Odometry):
             self._make_way(message.robot, content.stamp_ns)
+        self._robots.add(message.robot)
         number = self.state.input = self.state.input + 1
         self.state.record += 1
         topic = self._keys.form(message.kind).make(robot=message.robot)
@@ -237,7 +245,7 @@ class Sequencer:
         robots = self.state.settings.config.input.robots
         if robots and message.robot not in robots:
             raise MessageFault(Refusal.UNKNOWN_ROBOT, f"robot {message.robot!r} is not among input.robots")
-        if not robots and message.robot not in self.state.poses and len(self.state.poses) >= MAX_ROBOTS:
+        if not robots and message.robot not in self._robots and len(self._robots) >= MAX_ROBOTS:
             raise MessageFault(
                 Refusal.UNKNOWN_ROBOT, f"{MAX_ROBOTS} robots are known already; name them in input.robots"
             )

@@ -118,13 +118,19 @@ def _run(
         )
         # DROP: events are in the log, and a reader that stalls must not hold up the sequencer.
 
+        def publish(event: bytes) -> None:
+            try:
+                events.put(event)
+            except zenoh.ZError as error:
+                log.warning("an event could not be published: %s", error)
+
         def cut() -> None:
             snapshots.offer(cut_of(run, config, state, sequencer.inbox, recovered.duplicates))
 
         sequencer = Sequencer(
             state, view, writer, intake, counters, recovered.duplicates, keys,
             Intervals(config.log.checkpoint_interval, config.store.snapshot_interval),
-            publish_event=events.put, take_snapshot=cut, before_reset=emptied.note,
+            publish_event=publish, take_snapshot=cut, before_reset=emptied.note,
         )  # fmt: skip
         control = _Control(sequencer, snapshots, cut)
 
@@ -260,8 +266,9 @@ class _Control:
 
     def reset(self) -> tuple[int, int]:
         """Empty the map; the (sequence, epoch) that begin with it."""
-        self._sequencer.call(self._sequencer.reset, CONTROL_SECONDS)
-        return self._sequencer.state.map.sequence, self._sequencer.view.epoch
+        done: list[tuple[int, int]] = []
+        self._sequencer.call(lambda: done.append(self._sequencer.reset()), CONTROL_SECONDS)
+        return done[0]
 
 
 class _Outputs:
