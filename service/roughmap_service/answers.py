@@ -83,7 +83,7 @@ def as_fault(error: Exception) -> tuple[str, str]:
 class Answers:
     """Answers queries on tiles, region, cells, status and control while it is entered.
 
-    ``session`` should be one of its own: a reader that stalls holds up what shares its links. Callbacks of Zenoh are
+    A reader that stalls holds up what shares its link, for 5 s at most. Callbacks of Zenoh are
     serial, so they only parse, check and queue; ``query.workers`` threads answer, each query from one frozen map.
 
     ``status`` gives the status message; ``control`` maps actions (``snapshot``, ``reset``) to what carries them out and

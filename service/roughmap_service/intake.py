@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
 import zenoh
 
@@ -38,10 +38,8 @@ class InputMessage:
     reply: IngestReply | None = None
 
 
-class Command(Protocol):
-    """Something that is to be done between two inputs, in the sequencer's thread."""
-
-    def __call__(self) -> None: ...
+Command = Callable[[], None]
+"""Something that is to be done between two inputs, in the sequencer's thread."""
 
 
 @dataclass

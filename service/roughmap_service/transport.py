@@ -2,7 +2,6 @@
 
 import json
 import time
-from pathlib import Path
 from urllib.parse import quote
 
 import zenoh
@@ -82,11 +81,6 @@ def wait_alone(session: zenoh.Session, keys: Keys, seconds: float) -> list[str]:
             return others
         # Their tokens end by themselves: the lease of a dead instance, or the shutdown of a living one.
         time.sleep(min(0.2, left))
-
-
-def lock_file(path: Path) -> Path:
-    """The lock beside a directory's or a store's own name."""
-    return path / ".lock" if path.is_dir() else path.with_name(path.name + ".lock")
 
 
 def _first_line(error: Exception) -> str:

@@ -5,9 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from roughmap import RoughMap
-from roughmap.frozen import Frozen
-
-TileBox = tuple[int, int, int, int]
+from roughmap.frozen import Frozen, TileBox
 
 
 class View:
