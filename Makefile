@@ -36,7 +36,7 @@ check: $(READY)  ## style, types, the direction of imports, the exported schemas
 	$(BIN)/lint-imports
 	$(BIN)/python -m roughmap_schemas.export --check
 
-bench: $(READY)  ## nanoseconds a point, beside a plain numpy group-by measured in the same run
+bench: $(READY)  ## what it costs, each figure with its mark and a reference beside it; pictures in bench/
 	$(BIN)/python tests/bench/run.py $(ARGS)
 
 schemas: $(READY)  ## schemas/json anew from the models
