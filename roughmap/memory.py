@@ -109,7 +109,10 @@ class SlotPool:
         return len(self.address) - len(self._free)
 
     def _grow(self) -> None:
-        slab = mmap.mmap(-1, SLAB_SLOTS * SLOT_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        try:
+            slab = mmap.mmap(-1, SLAB_SLOTS * SLOT_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        except OSError as error:  # which is what the system's refusal comes as
+            raise MemoryError(f"no memory for {SLAB_SLOTS} more tiles: {error.strerror}") from None
         first = len(self.address)
         start = np.frombuffer(slab, np.uint8).ctypes.data
         self._slabs.append(slab)

@@ -34,8 +34,10 @@ T = TypeVar("T")
 Bbox = tuple[float, float, float, float]
 InputKind = Literal["points", "odometry", "transform"]
 
-AGAIN_S = 0.2
-"""Where nobody answers, or the service is too busy, the question is asked again after so long."""
+AGAIN_S = 0.1
+AGAIN_MOST_S = 2.0
+"""Where nobody answers, or the service is too busy, the question is asked again: first after the one, and after twice
+as long each time, up to the other."""
 
 RECEIPT_S = 2.0
 """A receipt that did not come after so long is not waited for any more: the same bytes are sent again, which does no
@@ -274,7 +276,7 @@ class RoughMapClient:
     ) -> T:
         """Ask until ``take`` accepts an answer, or the time limit comes: then its last error is raised."""
         selector = f"{key}?{parameters}" if parameters else key
-        pause = threading.Event()
+        pause, nobody = AGAIN_S, threading.Event()
         while True:
             left = max(until - time.monotonic(), 0.001)
             try:
@@ -286,7 +288,9 @@ class RoughMapClient:
             except NoAnswer:
                 if self._session.is_closed() or time.monotonic() + AGAIN_S >= until:
                     raise
-            pause.wait(AGAIN_S)
+            # Half of what is left at most, so that the last time comes near the limit.
+            nobody.wait(min(pause, max((until - time.monotonic()) / 2, AGAIN_S)))
+            pause = min(2 * pause, AGAIN_MOST_S)
 
 
 def _held(since: Version | None, status: MapStatus) -> Version | None:

@@ -14,7 +14,8 @@ INTEGRATED = "integrated"
 
 @dataclass(frozen=True, slots=True)
 class WaitingCloud:
-    """A logged cloud without a decision. ``arrival`` in monotonic seconds; an ingested one is never dropped."""
+    """A logged cloud without a decision. ``arrival`` in monotonic seconds. A ``promised`` one was acknowledged, or
+    waited over a restart: it never ends for want of room."""
 
     input: int
     robot: str
@@ -23,7 +24,7 @@ class WaitingCloud:
     last_ns: int
     arrival: float
     size: int
-    ingested: bool
+    promised: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +121,7 @@ class Inbox:
         held = {robot: sum(cloud.size for cloud in queue) for robot, queue in self.queues.items()}
         for robot in sorted(held, key=lambda name: held[name], reverse=True):
             for cloud in self.queues[robot]:
-                if not cloud.ingested:
+                if not cloud.promised:
                     return cloud
         return None
 

@@ -1,5 +1,6 @@
 """Answers to ingest requests, sent from a thread that may be held up; and the memory for duplicates."""
 
+import contextlib
 import logging
 import queue
 import threading
@@ -46,8 +47,13 @@ class Replies:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._queue.put(None)
-        self._thread.join(6.0)
+        self.close()
+
+    def close(self, timeout: float = 6.0) -> None:
+        """Send what is queued, for at most ``timeout`` s."""
+        with contextlib.suppress(queue.Full):
+            self._queue.put(None, timeout=timeout)
+        self._thread.join(timeout)
 
     def _run(self) -> None:
         while (item := self._queue.get()) is not None:

@@ -22,6 +22,7 @@ from pydantic import TypeAdapter
 from roughmap_schemas import EVENT, QueryRecord, RunMetadata, UpdateRecord
 from roughmap_schemas.run_metadata import RECORD_NAME
 
+from .disk import sync_directory
 from .log_schema import plain_schema
 
 CHUNK_BYTES = 64 * 1024
@@ -103,15 +104,6 @@ def open_new(path: Path) -> IO[bytes]:
     return path.open("xb")
 
 
-def sync_directory(directory: Path) -> None:
-    """Make names created or renamed in a directory durable."""
-    handle = os.open(directory, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 class LogFile:
     """An open file. Any method may raise OSError; what was flushed before stays readable.
 
@@ -145,6 +137,11 @@ class LogFile:
         except BaseException:
             self.let_go()
             raise
+
+    @property
+    def closed(self) -> bool:
+        """Whether its footer is on the disk."""
+        return self._closed
 
     @property
     def size(self) -> int:

@@ -3,7 +3,7 @@
 import logging
 from pathlib import Path
 
-from .log_file import sync_directory
+from .disk import sync_directory
 from .log_reader import LogError, read_metadata
 from .store import Cut
 

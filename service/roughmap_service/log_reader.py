@@ -10,6 +10,7 @@ from pathlib import Path
 
 import zstandard
 from mcap.exceptions import EndOfFile, McapError
+from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
@@ -109,6 +110,16 @@ def read_metadata(path: Path) -> RunMetadata:
     except ContractError as error:
         raise LogError(f"{path}: {error}") from None
     raise LogError(f"{path}: no log of roughmap (its metadata record '{RECORD_NAME}' is missing)")
+
+
+def last_log_time(path: Path) -> int:
+    """The largest log time of a closed file's messages in ns, as its footer says; 0 if it has none."""
+    try:
+        with path.open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+    except _DAMAGE:
+        return 0
+    return 0 if summary is None or summary.statistics is None else summary.statistics.message_end_time
 
 
 def read_file(path: Path) -> Iterator[LogItem]:

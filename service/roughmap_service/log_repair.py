@@ -8,7 +8,8 @@ from pathlib import Path
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
-from .log_file import CHUNK_BYTES, PROFILE, sync_directory
+from .disk import sync_directory
+from .log_file import CHUNK_BYTES, PROFILE
 from .log_reader import LogError, raw_records
 
 log = logging.getLogger(__name__)

@@ -47,6 +47,8 @@ Item = LogRecord | Sync | Rotate
 class LogWriter:
     """Appends the run to files of ``directory``, the first of which begins with ``metadata``; a context manager.
 
+    ``last_ns`` is the log time of the run's last message so far: times rise, whatever the clock does between starts.
+
     `put` never blocks and never fails: who must not run ahead of the disk asks `wait_room` first. Whatever is not on
     the disk yet is kept, so that a file that failed can be left behind and its end written first to the next one.
     """
@@ -62,6 +64,7 @@ class LogWriter:
         max_file_bytes: int = 1 << 30,
         max_file_age: float = 3600.0,
         open_file: OpenFile = open_new,
+        last_ns: int = 0,
     ) -> None:
         self._directory = directory
         self._metadata = metadata
@@ -82,7 +85,10 @@ class LogWriter:
         self._mark = self._synced = Mark(
             metadata.first_input - 1, metadata.first_record - 1, metadata.epoch, metadata.base_sequence
         )
-        self._file = self._open(metadata)
+        self._begun = self._mark  # where the present file begins
+        self._first_index = metadata.index
+        self._left = False  # whether the present file failed and was let go
+        self._file = self._open(metadata, last_ns)
         self._length = self._file.size
         self._last_flush = self._last_sync = time.monotonic()
         self.ok = True
@@ -232,27 +238,53 @@ class LogWriter:
         log.error("the log can't be written (%s); no cloud is decided until it can", self.error)
         while True:
             with self._wake:
-                if self._wake.wait_for(lambda: self._stop, RETRY_SECONDS):
-                    log.error("the log was given up: %s", self.error)
-                    with contextlib.suppress(OSError):
-                        self._file.abandon(self._length)
-                    return False
+                last = self._wake.wait_for(lambda: self._stop, RETRY_SECONDS)
             try:
-                self._file.abandon(self._length)
+                self._leave()
                 self._mark = self._synced
                 self._todo.extendleft(reversed(self._unsynced))
                 self._unsynced.clear()
-                self._open_next("")
+                end = self._todo[0] if self._todo else None
+                self._open_next(end.digest if isinstance(end, Rotate) else "")
+                if isinstance(end, Rotate):  # it failed there, and is done now
+                    self._todo.popleft()
+                    self._release([end])
                 self._write()
                 self._sync()
             except Exception as again:  # noqa: BLE001 - as above
                 self._fail(again)
+                if last:
+                    with contextlib.suppress(OSError):
+                        self._leave()
+                    log.error("the log was given up (%s): its last %d records are lost", self.error, self._kept())
+                    return False
                 continue
             with self._wake:
                 self.ok, self.error = True, ""
                 self._wake.notify_all()
             log.warning("the log can be written again: %s", self._file.path)
             return True
+
+    def _leave(self) -> None:
+        """Let go of the failed file, cut to what was synced.
+
+        One that holds nothing but its beginning is removed, and the next takes its name: a disk that takes a beginning
+        at every try and never the rest must not fill with them. The first file of a start stays: it tells the epoch.
+        """
+        if self._left:
+            return
+        if self._file.closed or self._metadata.index == self._first_index or self._synced != self._begun:
+            self._file.abandon(self._length)
+        else:
+            self._file.let_go()
+            self._file.path.unlink(missing_ok=True)
+            self._metadata = self._metadata.model_copy(update={"index": self._metadata.index - 1})
+        self._left = True
+
+    def _kept(self) -> int:
+        """Records that are not on the disk."""
+        with self._wake:
+            return sum(isinstance(item, LogRecord) for item in (*self._unsynced, *self._todo, *self._queue))
 
     def _fail(self, error: Exception) -> None:
         told = error.strerror if isinstance(error, OSError) else None
@@ -272,7 +304,7 @@ class LogWriter:
             }
         )
         self._file = self._open(metadata, self._file.last_ns)
-        self._metadata = metadata
+        self._metadata, self._begun, self._left = metadata, self._mark, False
         self._length = self._file.size
 
     def _open(self, metadata: RunMetadata, last_ns: int = 0) -> LogFile:

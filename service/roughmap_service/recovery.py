@@ -3,6 +3,7 @@
 import contextlib
 import logging
 import re
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -21,6 +22,7 @@ from .log_reader import (
     LogItem,
     RunFile,
     find_files,
+    last_log_time,
     one_run,
     read_metadata,
     read_run,
@@ -35,6 +37,10 @@ FILE_NAME = re.compile(r"roughmap-[0-9a-f]{32}-\d{6,}\.mcap")
 """Files that may be ours; see `log_file.file_name`."""
 
 
+class Stopped(Exception):
+    """The service was asked to end while it was still on its way to the map."""
+
+
 class IdentityError(Exception):
     """The configuration names another map than the store or log holds."""
 
@@ -43,7 +49,8 @@ class IdentityError(Exception):
 class Recovered:
     """Where a run goes on. ``undecided`` are (input, robot, bytes) of clouds that wait anew; ``cut`` is the
     store's, and ``was_reset`` says that the map was emptied since that cut. The next file's ``created_ns`` must be at
-    least ``not_before_ns``, so that this run is the newest there whatever the clock says."""
+    least ``not_before_ns``, so that this run is the newest there whatever the clock says; ``last_ns`` is the log time
+    of its last message."""
 
     state: RunState
     duplicates: Duplicates
@@ -54,16 +61,24 @@ class Recovered:
     undecided: list[tuple[int, str, int]] = field(default_factory=list)
     was_reset: bool = False
     not_before_ns: int = 0
+    last_ns: int = 0
 
 
 Progress = Callable[[int, int], None]
 """Told how many of how many log files are folded."""
 
 
-def recover(config: Config, directory: Path, store: Store | None, progress: Progress | None = None) -> Recovered:
+def recover(
+    config: Config,
+    directory: Path,
+    store: Store | None,
+    progress: Progress | None = None,
+    stop: threading.Event | None = None,
+) -> Recovered:
     """Bring back the log directory's newest run, from the store's cut if there is one, else from its beginning.
 
-    LogError, StoreError, RunError or IdentityError, each one line, where the map can't be had again.
+    LogError, StoreError, RunError or IdentityError, each one line, where the map can't be had again; Stopped once
+    ``stop`` is set.
     """
     outdated = False
     cut: Cut | None = None
@@ -78,17 +93,26 @@ def recover(config: Config, directory: Path, store: Store | None, progress: Prog
         check_identity(config, files[-1].metadata.configuration, files[-1].path)
     elif outdated:
         raise LogError(f"{directory}: no log to build the store of another version anew from; start with --fresh")
-    result, end = _bring_back(config, store, cut, files, progress)
+    watch = _Watch(progress, stop or threading.Event())
+    result, end = _bring_back(config, store, cut, files, watch)
     if cut is not None and files and end < cut.record:
         log.warning("the log ends at record %d, the store's cut is at %d: the map is that of the log", end, cut.record)
-        result, _ = _bring_back(config, store, None, files, progress)
+        result, _ = _bring_back(config, store, None, files, watch)
     if outdated and store is not None:
         store.set_aside("outdated")
     return result
 
 
+@dataclass(frozen=True, slots=True)
+class _Watch:
+    """Who looks on while files are folded, and who may want it to end."""
+
+    progress: Progress | None
+    stop: threading.Event
+
+
 def _bring_back(
-    config: Config, store: Store | None, cut: Cut | None, files: list[RunFile], progress: Progress | None
+    config: Config, store: Store | None, cut: Cut | None, files: list[RunFile], watch: _Watch
 ) -> tuple[Recovered, int]:
     """The run as of the end of its files, begun at the cut, if any; and the last record that the files hold."""
     result = blank(config)
@@ -107,9 +131,10 @@ def _bring_back(
             "bring back what is missing, or start with --fresh"
         )
     result.run, result.index, result.epoch = last.run, last.index + 1, last.epoch + 1
+    result.last_ns = max(last_log_time(file.path) for file in files)
     while len(files) > 1 and files[1].metadata.first_record <= taken and files[1].metadata.first_input <= low_water:
         files = files[1:]
-    end = _fold_files(result, files, taken, low_water, progress)
+    end = _fold_files(result, files, taken, low_water, watch)
     result.epoch = max(result.epoch, result.state.epoch + 1)
     result.state.use(Settings(config))
     return result, end
@@ -177,7 +202,7 @@ def _take_cut(config: Config, store: Store, cut: Cut, result: Recovered) -> None
     result.run, result.epoch = cut.run, cut.epoch + 1
 
 
-def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: int, progress: Progress | None) -> int:
+def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: int, watch: _Watch) -> int:
     """Take the files up into the state; the last record that they hold."""
     state = result.state
     waiting: dict[int, tuple[str, int]] = {}
@@ -187,14 +212,16 @@ def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: 
     def items() -> Iterator[LogItem]:
         nonlocal end
         for item in read_run(files):
+            if watch.stop.is_set():
+                raise Stopped
             end = end if isinstance(item, FileStart) else item.record
             yield item
 
     for step in fold(state, items(), taken=taken, low_water=low_water):
         item = step.item
         if isinstance(item, FileStart):
-            if progress is not None:
-                progress(done, len(files))
+            if watch.progress is not None:
+                watch.progress(done, len(files))
             done += 1
             own = item.metadata.version == version("roughmap")
         elif isinstance(item, InputRecord):

@@ -10,6 +10,7 @@ from roughmap import RoughMap
 from roughmap_schemas import (
     CheckpointEvent,
     Cloud,
+    CloudReason,
     Event,
     IntegrationEvent,
     Keys,
@@ -100,6 +101,11 @@ class Sequencer:
         self._thread = threading.Thread(target=self._run, name="sequencer", daemon=True)
 
     @property
+    def log_ok(self) -> bool:
+        """Whether the log can be written; where not, no cut of the run could be stored."""
+        return self._writer.ok
+
+    @property
     def alive(self) -> bool:
         """Whether the thread is at work."""
         return self._thread.is_alive()
@@ -110,7 +116,7 @@ class Sequencer:
         for number, robot, size in undecided:
             first, last = span(self.state.clouds[number])
             self.inbox.feed(
-                WaitingCloud(number, robot, self.state.clouds[number], first, last, now, size, ingested=True)
+                WaitingCloud(number, robot, self.state.clouds[number], first, last, now, size, promised=True)
             )
         self._thread.start()
 
@@ -249,7 +255,10 @@ class Sequencer:
             raise MessageFault(
                 Refusal.UNKNOWN_ROBOT, f"{MAX_ROBOTS} robots are known already; name them in input.robots"
             )
-        content = decode(message.kind, message.payload, self.state.settings)
+        try:
+            content = decode(message.kind, message.payload, self.state.settings)
+        except MemoryError:
+            raise MessageFault(Refusal.BUSY, "there is no memory to decode the message; try again") from None
         if isinstance(content, Cloud):
             self._check_cloud(message, content)
         return content
@@ -273,7 +282,7 @@ class Sequencer:
             self.inbox.feed(
                 WaitingCloud(
                     number, message.robot, content, first, last, message.arrival, len(message.payload),
-                    ingested=message.reply is not None,
+                    promised=message.reply is not None,
                 )
             )  # fmt: skip
         elif isinstance(content, Odometry):
@@ -310,7 +319,7 @@ class Sequencer:
             return False
         proposal = _proposal(decision, self.state)
         with self.view.change():
-            done = self.state.apply(proposal)
+            done = self._place(proposal)
             self._log_event(done)
         assert isinstance(done, IntegrationEvent)  # noqa: S101 - what an integration becomes
         arrival = self._arrived.pop(done.input, None)
@@ -319,6 +328,17 @@ class Sequencer:
         self._counters.cloud(str(done.outcome), done.accepted, {str(k): n for k, n in done.rejected.items()}, arrival)
         self._publish_event(encode_event(done))
         return True
+
+    def _place(self, proposal: IntegrationEvent) -> Event:
+        """Apply a decision. A cloud that there is no memory for ends as `overload`: the map is as it was before it, and
+        no replay, which may have the memory, places it either."""
+        cloud = self.state.clouds[proposal.input]
+        try:
+            return self.state.apply(proposal)
+        except MemoryError:
+            log.error("input %d: no memory to place its cloud", proposal.input)
+            self.state.take_cloud(proposal.input, cloud)
+            return self.state.apply(proposal.model_copy(update={"outcome": CloudReason.OVERLOAD}))
 
     def checkpoint(self) -> None:
         """Log the map's digest, if the map changed since the last one."""

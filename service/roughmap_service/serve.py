@@ -29,19 +29,21 @@ from roughmap_schemas.messages import LogState
 
 from .answers import Answers
 from .counters import Counters
+from .disk import make_directory
 from .emptied import Emptied
+from .ending import Ending
 from .ingest import Replies
 from .intake import Intake, ZenohInputs
 from .log_file import Kind, LogRecord
 from .log_writer import LogWriter
 from .recovery import Progress as RecoveryProgress
-from .recovery import Recovered, begin_anew, recover
+from .recovery import Recovered, Stopped, begin_anew, recover
 from .sequencer import Intervals, Sequencer
 from .snapshots import Snapshots, cut_of
 from .status import Progress, Status, StatusPublisher
 from .store import Store
 from .tile_reply import Identity
-from .transport import endpoints, open_session, wait_alone
+from .transport import claim, endpoints, open_session
 from .updates import Updates
 from .view import View
 from .warmup import warm_up
@@ -81,17 +83,26 @@ def serve(
     with ExitStack() as stack:
         stack.enter_context(_locked(directory, store))
         session = stack.enter_context(open_session(loaded))
-        if others := wait_alone(session, keys, config.service.alive_wait):
+        instance = uuid.uuid4().hex
+        token, others = claim(session, keys, instance, config.service.alive_wait, stop)
+        stack.callback(token.undeclare)  # last of all: whoever waits for it may then open the log
+        if others and not stop.is_set():
             raise ServeError(f"map {config.map.name!r} is served already, by {', '.join(others)}; stop that one first")
-        recovered = _recovered(config, directory, store, fresh, progress)
-        warm_up(config)
-        _run(loaded, keys, session, directory, store, recovered, stop, announce)
+        try:
+            recovered = _recovered(config, directory, store, fresh, progress, stop)
+        except Stopped:
+            log.info("ended before it was ready")
+            return
+        warm_up(config, stop)
+        if not stop.is_set():
+            _run(loaded, keys, session, instance, directory, store, recovered, stop, announce)
 
 
 def _run(
     loaded: LoadedConfig,
     keys: Keys,
     session: zenoh.Session,
+    instance: str,
     directory: Path,
     store: Store | None,
     recovered: Recovered,
@@ -102,16 +113,21 @@ def _run(
     config = loaded.config
     state, run = recovered.state, recovered.run or uuid.uuid4().hex
     state.epoch = recovered.epoch
-    instance = uuid.uuid4().hex
     identity = Identity(config.map.name, run, instance, configuration_digest(config), config.map.frame_id)
     counters, view, emptied = Counters(), View(state.map, recovered.epoch), Emptied()
+    ending, whole = Ending(config.service.shutdown_timeout), True
     with ExitStack() as stack:
-        token = session.liveliness().declare_token(keys.alive(instance))
-        stack.callback(token.undeclare)  # last of all: whoever waits for it may then open the log
-        replies = stack.enter_context(Replies())
-        writer = stack.enter_context(_writer(config, directory, _metadata(config, run, recovered)))
+        replies = Replies()
+        stack.callback(lambda: replies.close(ending.left()))
+        writer = _writer(config, directory, _metadata(config, run, recovered), recovered.last_ns)
+
+        @stack.callback
+        def close_log() -> None:
+            nonlocal whole
+            whole = writer.close(ending.left(0.9))
+
         stored = None if recovered.was_reset else recovered.cut
-        snapshots = stack.enter_context(Snapshots(store, view, writer, stored, keep=config.log.keep))
+        snapshots = Snapshots(store, view, writer, stored, keep=config.log.keep)
         intake = Intake(config.input.queue_limit, counters)
         events = session.declare_publisher(
             keys.events, encoding=json_encoding("Event"), congestion_control=zenoh.CongestionControl.DROP
@@ -148,7 +164,7 @@ def _run(
         status = Status(view, counters, config, identity, VERSION, progress)
         record = _Outputs(writer, keys, counters, queries=config.log.queries)
         sequencer.start(recovered.undecided)
-        stack.callback(_end, sequencer, view, snapshots, cut, config.service.shutdown_timeout)
+        stack.callback(_end, sequencer, view, snapshots, cut, ending)
         stack.enter_context(
             Answers(
                 session, view, keys, config, identity, status=status,
@@ -166,29 +182,37 @@ def _run(
                 "http": None,
             }
         )  # fmt: skip
+        stack.callback(ending.begin)  # first of all, however it comes to its end
         while not stop.wait(0.5):
             if not sequencer.alive:
                 raise ServiceFailed(f"the sequencer failed: {sequencer.failure}")
         intake.close()
+    if not whole:
+        raise ServiceFailed(f"the end of the log is lost: {writer.error or 'the disk did not take it in time'}")
 
 
-def _end(sequencer: Sequencer, view: View, snapshots: Snapshots, cut: Callable[[], None], timeout: float) -> None:
-    """Place what can be placed, checkpoint, snapshot; the log's footer comes after this."""
-    if not sequencer.stop(timeout / 2):
-        log.error("the sequencer did not end within %s s", timeout / 2)
-        return
+def _end(sequencer: Sequencer, view: View, snapshots: Snapshots, cut: Callable[[], None], ending: Ending) -> None:
+    """Place what can be placed, checkpoint, snapshot; the log's footer comes after this, and needs time too."""
+    ended = sequencer.stop(ending.left(0.5))
     view.wake()
-    if snapshots.enabled and sequencer.failure is None:
-        snapshots.close(timeout / 4)
+    if not ended:
+        log.error("the sequencer did not end in time: what it held is undecided")
+    elif snapshots.enabled and sequencer.failure is None and sequencer.log_ok:
+        snapshots.close(ending.left(0.3))
         cut()
-        snapshots.close(timeout / 4)
+        snapshots.close(ending.left(0.5))
 
 
 def _recovered(
-    config: Config, directory: Path, store: Store | None, fresh: bool, progress: RecoveryProgress | None
+    config: Config,
+    directory: Path,
+    store: Store | None,
+    fresh: bool,
+    progress: RecoveryProgress | None,
+    stop: threading.Event,
 ) -> Recovered:
     if not fresh:
-        return recover(config, directory, store, progress)
+        return recover(config, directory, store, progress, stop)
     if store is not None and store.exists():
         log.warning("a new run; the old store is %s", store.set_aside())
     return begin_anew(config, directory)
@@ -210,7 +234,7 @@ def _metadata(config: Config, run: str, recovered: Recovered) -> RunMetadata:
     )
 
 
-def _writer(config: Config, directory: Path, metadata: RunMetadata) -> LogWriter:
+def _writer(config: Config, directory: Path, metadata: RunMetadata, last_ns: int) -> LogWriter:
     return LogWriter(
         directory,
         metadata,
@@ -219,16 +243,17 @@ def _writer(config: Config, directory: Path, metadata: RunMetadata) -> LogWriter
         queue_limit=config.log.queue_limit,
         max_file_bytes=config.log.max_file_bytes,
         max_file_age=config.log.max_file_age,
+        last_ns=last_ns,
     )
 
 
 @contextmanager
 def _locked(directory: Path, store: Store | None) -> Iterator[None]:
     """Hold the log directory and the store against a second service."""
-    directory.mkdir(parents=True, exist_ok=True)
+    make_directory(directory)
     locks = [directory / ".lock"]
     if store is not None:
-        store.path.parent.mkdir(parents=True, exist_ok=True)
+        make_directory(store.path.parent)
         locks.append(store.path.with_name(store.path.name + ".lock"))
     with ExitStack() as stack:
         for path in locks:

@@ -3,8 +3,6 @@
 import logging
 import sqlite3
 import threading
-from types import TracebackType
-from typing import Self
 
 from roughmap.frozen import Frozen
 from roughmap_schemas import Config, configuration_digest
@@ -82,14 +80,6 @@ class Snapshots:
         """Wait for the snapshot that is being written."""
         if self._thread is not None:
             self._thread.join(timeout)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close(SYNC_SECONDS)
 
     def _write(self, cut: Cut, frozen: Frozen) -> None:
         assert self._store is not None  # noqa: S101 - offer() saw to it

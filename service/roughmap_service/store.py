@@ -15,6 +15,8 @@ import zstandard
 from roughmap import CELL_DTYPE, STATE_VERSION, RoughMap
 from roughmap.frozen import Frozen
 
+from .disk import make_directory, sync_directory
+
 TILE_BYTES = 64 * 64 * CELL_DTYPE.itemsize
 
 COMPRESSION_LEVEL = 1
@@ -132,7 +134,7 @@ class Store:
         One transaction; what was there stays if anything fails. sqlite3.Error or OSError from the disk.
         """
         pack = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL, write_checksum=True)
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+        make_directory(self.path.parent)
         with closing(sqlite3.connect(self.path, isolation_level=None, timeout=5.0)) as db:
             db.execute("PRAGMA journal_mode = WAL")
             db.execute("PRAGMA synchronous = FULL")
@@ -171,7 +173,9 @@ class Store:
         with closing(sqlite3.connect(self.path, timeout=5.0)) as db:
             db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             db.execute("PRAGMA journal_mode = DELETE")
-        return self.path.rename(self.path.with_name(f"{self.path.name}.{run}"))
+        aside = self.path.rename(self.path.with_name(f"{self.path.name}.{run}"))
+        sync_directory(self.path.parent)
+        return aside
 
     def _run(self) -> str:
         """The run that the store is of, whatever its version."""

@@ -1,6 +1,7 @@
 """The Zenoh session of the service: opened from the configuration, and where it can be reached."""
 
 import json
+import threading
 import time
 from urllib.parse import quote
 
@@ -67,20 +68,32 @@ def endpoints(session: zenoh.Session) -> list[str]:
     return []
 
 
-def wait_alone(session: zenoh.Session, keys: Keys, seconds: float) -> list[str]:
-    """Wait until no other instance serves the map, ``seconds`` at most; returns those still there."""
-    until = time.monotonic() + seconds
+def claim(
+    session: zenoh.Session, keys: Keys, instance: str, seconds: float, stop: threading.Event
+) -> tuple[zenoh.LivelinessToken, list[str]]:
+    """Declare this instance's token, then wait until no other instance of the map has one.
+
+    Returns the token, and the others still there after ``seconds`` or at ``stop``. Whoever looks has declared before:
+    of two that start at once not both can see nobody. That not both give way either, the one whose name is behind
+    another's withdraws its token until that one is gone.
+    """
+    own, until = keys.alive(instance), time.monotonic() + seconds
+    token = session.liveliness().declare_token(own)
     while True:
-        others = [
-            str(reply.ok.key_expr)
+        others = sorted(
+            key
             for reply in session.liveliness().get(keys.alive_any, timeout=min(2.0, seconds))
-            if reply.ok is not None
-        ]
+            if reply.ok is not None and (key := str(reply.ok.key_expr)) != own
+        )
         left = until - time.monotonic()
-        if not others or left <= 0:
-            return others
+        if not others or left <= 0 or stop.is_set():
+            return token, others
+        if others[0] < own:
+            token.undeclare()
         # Their tokens end by themselves: the lease of a dead instance, or the shutdown of a living one.
-        time.sleep(min(0.2, left))
+        stop.wait(min(0.2, left))
+        if others[0] < own:
+            token = session.liveliness().declare_token(own)
 
 
 def _first_line(error: Exception) -> str:

@@ -1,5 +1,6 @@
 """Compiling what the first scan and the first query would otherwise wait for."""
 
+import threading
 from itertools import product
 
 import numpy as np
@@ -21,8 +22,9 @@ STAMPS_NS = (0, 1, 1 << 7, 1 << 14, 1 << 21, 1 << 28)
 for their type, those of others not, and the two are two layouts."""
 
 
-def warm_up(config: Config) -> None:
-    """Run the way of a scan once with every kind of cloud, on a map of its own that is thrown away.
+def warm_up(config: Config, stop: threading.Event) -> None:
+    """Run the way of a scan once with every kind of cloud, on a map of its own that is thrown away; no further than
+    ``stop`` being set.
 
     The clouds come from the codec: kernels are compiled for each layout of arrays that it hands on (either type,
     packed or with other fields between, aligned or not), and a layout left out here would cost the first scan a second
@@ -44,6 +46,8 @@ def warm_up(config: Config) -> None:
             (None, ((0.0, 0.0, 0.0), UNTURNED)),  # a pose that changes nothing, for 15 bytes more
         )
         for dtype, offsets, (robot, frame), stamp, pose in choices:
+            if stop.is_set():
+                return
             payload = encode_cloud(points.astype(dtype), stamp, frame, offsets_ns=offsets, pose=pose)
             cloud = decode_cloud(payload, max_message=LIMIT, max_points=LIMIT)
             kind = dtype, offsets is None, frame, cloud.points.flags.aligned

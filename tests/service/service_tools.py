@@ -153,7 +153,7 @@ class Run:
 
     def _feed(self, number: int, robot: str, size: int) -> None:
         held = self.state.clouds[number]
-        self.inbox.feed(WaitingCloud(number, robot, held, *span(held), 0.0, size, ingested=False))
+        self.inbox.feed(WaitingCloud(number, robot, held, *span(held), 0.0, size, promised=False))
 
     def decide(self, now: float = 0.0) -> list[IntegrationEvent]:
         """Apply every decision that is due at monotonic time ``now``."""

@@ -98,7 +98,7 @@ class Service:
         if isinstance(content, Cloud):
             self.state.take_cloud(self.number, content)
             first, last = span(content)
-            self.inbox.feed(WaitingCloud(self.number, "rover", content, first, last, 0.0, len(payload), ingested=False))
+            self.inbox.feed(WaitingCloud(self.number, "rover", content, first, last, 0.0, len(payload), promised=False))
         elif isinstance(content, Odometry):
             if self.state.take_odometry(self.number, "rover", content)[1]:
                 self.inbox.clock_reset("rover")

@@ -74,7 +74,7 @@ def test_one_decision_a_cloud_in_order(row: list[tuple]) -> None:
         assert in_turn == sorted(in_turn)
     for decision in decisions:
         cloud = decision.cloud
-        assert not (cloud.ingested and decision.outcome == CloudReason.OVERLOAD)
+        assert not (cloud.promised and decision.outcome == CloudReason.OVERLOAD)
         if decision.outcome == INTEGRATED and cloud.cloud.frame_id == "lidar":
             assert decision.poses[0].stamp_ns <= cloud.first_ns
             assert decision.poses[-1].stamp_ns >= cloud.last_ns

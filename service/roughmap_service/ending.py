@@ -1,0 +1,37 @@
+"""The end of the service: one time limit for all that still has to be waited for."""
+
+import logging
+import os
+import threading
+import time
+
+log = logging.getLogger(__name__)
+
+
+class Ending:
+    """Counts down from `begin`; when nothing is left, the process ends as one that failed, whatever it waits for."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._until: float | None = None
+
+    def begin(self) -> None:
+        """The end has begun; later calls change nothing."""
+        if self._until is None:
+            self._until = time.monotonic() + self._seconds
+            last = threading.Timer(self._seconds, self._give_up)
+            last.daemon = True
+            last.start()
+
+    def left(self, share: float = 1.0) -> float:
+        """Seconds that are left, or a share of them."""
+        self.begin()
+        assert self._until is not None  # noqa: S101 - begin() set it
+        return max(self._until - time.monotonic(), 0.0) * share
+
+    def _give_up(self) -> None:
+        log.critical(
+            "the service did not end within service.shutdown_timeout (%g s): what was not on the disk is lost",
+            self._seconds,
+        )
+        os._exit(1)
