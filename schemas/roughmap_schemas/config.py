@@ -5,10 +5,10 @@ The models know no files: reading and merging stand in ``config_load``.
 
 import json
 import math
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import xxhash
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, SecretStr, model_validator
 
 from roughmap_schemas.faults import ConfigFault
 from roughmap_schemas.keys import TEMPLATES, Keys
@@ -27,6 +27,9 @@ from roughmap_schemas.sections import (
     ZenohConfig,
 )
 from roughmap_schemas.values import Frame, Name
+
+HIDDEN: Final = "hidden"
+"""Stands where a secret is not shown."""
 
 
 def _all_keys(value: dict[str, str]) -> dict[str, str]:
@@ -117,23 +120,25 @@ class Config(Section):
         """Give all settings as JSON values, secrets hidden; infinity as "inf". It validates to the same settings."""
         values: dict[str, Any] = _jsonable(self.model_dump(mode="python"))
         for name in ("listen", "connect"):
-            values["zenoh"][name] = [_without_secrets(endpoint) for endpoint in values["zenoh"][name]]
+            values["zenoh"][name] = [without_secrets(endpoint) for endpoint in values["zenoh"][name]]
         return values
 
 
 def _jsonable(value: Any) -> Any:
-    """Turn tuples into lists and infinities, which JSON lacks, into texts that read back."""
+    """Turn tuples into lists, infinities, which JSON lacks, into texts that read back, and hide secrets."""
     if isinstance(value, dict):
         return {key: _jsonable(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_jsonable(item) for item in value]
+    if isinstance(value, SecretStr):
+        return HIDDEN
     return str(value) if isinstance(value, float) and math.isinf(value) else value
 
 
-def _without_secrets(endpoint: str) -> str:
+def without_secrets(endpoint: str) -> str:
     """Cut what follows an endpoint's address: there certificates, keys and passwords may stand."""
     cut = min((at for mark in "?#" if (at := endpoint.find(mark)) >= 0), default=-1)
-    return endpoint if cut < 0 else f"{endpoint[:cut]}#hidden"
+    return endpoint if cut < 0 else f"{endpoint[:cut]}#{HIDDEN}"
 
 
 def configuration_digest(config: Config) -> str:

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel, ValidationError
 
-from roughmap_schemas.config import Config
+from roughmap_schemas.config import Config, without_secrets
 from roughmap_schemas.faults import ConfigFault
 from roughmap_schemas.keys import TEMPLATES
 
@@ -25,6 +25,9 @@ FILES_ONLY: Final = ("sensors", "robots")
 """Tables whose keys are names of frames and robots, which no environment variable can spell."""
 
 DEFAULT: Final = "default"
+
+SECRETS: Final = ("zenoh.password",)
+"""Settings that are taken from the environment alone: a command line is seen by all, a file is passed around."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,10 @@ def load_config(
             _put(values, given, parts, _from_text(parts, text, source), source)
     for dotted, value in (overrides or {}).items():
         _put(values, given, tuple(dotted.split(".")), value, "command line")
+    for dotted in SECRETS:
+        if not given.get(dotted, "environment").startswith("environment"):
+            variable = PREFIX + dotted.upper().replace(".", "__")
+            raise ConfigFault(f"{given[dotted]}: {dotted}: must be in {dotted}_file, or in the environment, {variable}")
     config = _validated(values, given, str(file) if file is not None else "configuration")
     sources = {dotted: given.get(dotted, DEFAULT) for dotted in _leaves(config.model_dump(mode="python"))}
     for dotted in sources:
@@ -151,12 +158,12 @@ def _section(name: str) -> type[BaseModel] | None:
 
 def _from_text(parts: tuple[str, ...], text: str, source: str) -> object:
     """Read a variable's value: lists and tables as JSON, all else as the text that it is."""
-    if not text.lstrip().startswith(("[", "{")):
+    if ".".join(parts) in SECRETS or not text.lstrip().startswith(("[", "{")):
         return text
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
-        raise ConfigFault(f"{source}: {'.'.join(parts)}: must be JSON; found {text[:80]!r}") from None
+        raise ConfigFault(f"{source}: {'.'.join(parts)}: must be JSON; found {_found(text, parts[0])}") from None
 
 
 def _validated(values: dict[str, Any], given: Mapping[str, str], otherwise: str) -> Config:
@@ -178,11 +185,11 @@ def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> s
     elif first["type"] == "missing":
         text = "is required"
     elif first["type"] == "string_pattern_mismatch":
-        text = f"must match {text.partition(' pattern ')[2]}; found {_found(first['input'])}"
+        text = f"must match {text.partition(' pattern ')[2]}; found {_found(first['input'], parts[0] if parts else '')}"
     elif first["type"] in ("model_type", "dict_type"):
-        text = f"must be a table; found {_found(first['input'])}"
+        text = f"must be a table; found {_found(first['input'], parts[0] if parts else '')}"
     elif dotted and not text.startswith(f"{dotted}.") and "found" not in text:
-        text = f"{text}; found {_found(first['input'])}"
+        text = f"{text}; found {_found(first['input'], parts[0] if parts else '')}"
     key, colon, rest = text.partition(": ")
     if colon and " " not in key and (not dotted or key.startswith(f"{dotted}.")):
         # A check over several settings names the one that it is about by itself.
@@ -215,6 +222,9 @@ def _allowed(parts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(model.model_fields)
 
 
-def _found(value: object) -> str:
+def _found(value: object, section: str) -> str:
+    """Show a value in an error, but nothing of ``zenoh`` that may be a secret: no more than an endpoint's address."""
+    if section == "zenoh" and not isinstance(value, bool | int | float):
+        value = without_secrets(value) if isinstance(value, str) else type(value)
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:77]}..."

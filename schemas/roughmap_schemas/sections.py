@@ -6,7 +6,7 @@ Seconds, metres, radians, m/s, rad/s, bytes; six numbers are x y z roll pitch ya
 import math
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, SecretStr, model_validator
 
 from roughmap_schemas.layers import LAYERS, LIMIT_NAMES
 from roughmap_schemas.values import (
@@ -111,6 +111,25 @@ class ZenohConfig(Section):
     connect: Endpoints = []
     scouting: bool = False
     config_file: Annotated[str | None, MaybeNone] = None
+    authority: Annotated[str | None, MaybeNone] = None
+    """PEM file of the authority whose certificates are trusted; with it, whoever connects must have one."""
+    certificate: Annotated[str | None, MaybeNone] = None
+    """PEM file of the certificate with which this session proves who it is, listening and connecting."""
+    private_key: Annotated[str | None, MaybeNone] = None
+    user: Annotated[str | None, MaybeNone] = None
+    password: Annotated[SecretStr | None, MaybeNone] = None
+    """In the environment only (``ROUGHMAP_ZENOH__PASSWORD``)."""
+    password_file: Annotated[str | None, MaybeNone] = None
+
+    @model_validator(mode="after")
+    def _pairs(self) -> "ZenohConfig":
+        if (self.certificate is None) != (self.private_key is None):
+            raise ValueError("zenoh.certificate: must be given together with zenoh.private_key")
+        if self.password is not None and self.password_file is not None:
+            raise ValueError("zenoh.password_file: must not be given beside zenoh.password")
+        if (self.user is None) != (self.password is None and self.password_file is None):
+            raise ValueError("zenoh.user: must be given together with zenoh.password_file (or zenoh.password)")
+        return self
 
 
 class InputConfig(Section):

@@ -43,7 +43,7 @@ from .snapshots import Snapshots, cut_of
 from .status import Progress, Status, StatusPublisher
 from .store import Store
 from .tile_reply import Identity
-from .transport import claim, endpoints, open_session
+from .transport import check_exposure, claim, endpoints, open_session, zenoh_config
 from .updates import Updates
 from .view import View
 from .warmup import warm_up
@@ -70,9 +70,12 @@ def serve(
     announce: Callable[[dict[str, Any]], None],
     *,
     fresh: bool = False,
+    insecure: bool = False,
     progress: RecoveryProgress | None = None,
 ) -> None:
     """Keep one map until ``stop`` is set; ``announce`` is called once, when it is ready.
+
+    ``insecure`` allows a session that whoever is on the network can join.
 
     Raises what stands in the way of a start (ServeError, TransportError, LogError, StoreError, IdentityError, ...),
     each in one line.
@@ -80,9 +83,11 @@ def serve(
     config = loaded.config
     keys = Keys(config.map.name, config.keys)
     directory, store = Path(config.log.directory), Store(Path(config.store.path)) if config.store.path else None
+    session_config = zenoh_config(loaded)
+    check_exposure(session_config, loaded, insecure=insecure)
     with ExitStack() as stack:
         stack.enter_context(_locked(directory, store))
-        session = stack.enter_context(open_session(loaded))
+        session = stack.enter_context(open_session(session_config))
         instance = uuid.uuid4().hex
         token, others = claim(session, keys, instance, config.service.alive_wait, stop)
         stack.callback(token.undeclare)  # last of all: whoever waits for it may then open the log

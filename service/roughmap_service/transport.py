@@ -1,14 +1,21 @@
 """The Zenoh session of the service: opened from the configuration, and where it can be reached."""
 
 import json
+import logging
 import threading
 import time
 from urllib.parse import quote
 
 import zenoh
 
-from roughmap_schemas import Keys
+from roughmap_client.access import add_access, endpoints_of, read_zenoh_file, told
+from roughmap_schemas import ConfigFault, Keys
+from roughmap_schemas.config import without_secrets
 from roughmap_schemas.config_load import LoadedConfig
+
+from .exposure import exposures, weaknesses
+
+log = logging.getLogger(__name__)
 
 ADMIN_SECONDS = 5.0
 """How long the session's own admin space may take to answer: it is asked in this process."""
@@ -22,40 +29,50 @@ def zenoh_config(loaded: LoadedConfig) -> zenoh.Config:
     """The session's configuration: a zenoh file, if one is named, under the settings that were given.
 
     A setting given nowhere leaves the file's value alone. The admin space is on, read only: only there does a session
-    tell the port that it got for 0.
+    tell the port that it got for 0. ConfigFault for a file that can't be used.
     """
     settings = loaded.config.zenoh
-    if settings.config_file:
-        try:
-            config = zenoh.Config.from_file(settings.config_file)
-        except zenoh.ZError as error:
-            raise TransportError(f"zenoh.config_file {settings.config_file}: {_first_line(error)}") from None
-    else:
-        config = zenoh.Config()
-    entries = (
+    config = read_zenoh_file(settings.config_file) if settings.config_file else zenoh.Config()
+    entries = [
         ("mode", "mode", settings.mode),
         ("listen", "listen/endpoints", list(settings.listen)),
         ("connect", "connect/endpoints", list(settings.connect)),
         ("scouting", "scouting/multicast/enabled", settings.scouting),
-    )
+    ]
+    if settings.mode == "peer":  # a router needs gossip to know which peers don't reach each other
+        entries.append(("scouting", "scouting/gossip/enabled", settings.scouting))
     for name, path, value in entries:
         if not settings.config_file or loaded.given(f"zenoh.{name}"):
             config.insert_json5(path, json.dumps(value))
+    add_access(config, settings)
     config.insert_json5("adminspace/enabled", "true")
     config.insert_json5("adminspace/permissions", json.dumps({"read": True, "write": False}))
     return config
 
 
-def open_session(loaded: LoadedConfig) -> zenoh.Session:
+def check_exposure(config: zenoh.Config, loaded: LoadedConfig, *, insecure: bool) -> None:
+    """Raise ConfigFault for a session that whoever is on the network can join; ``insecure`` only has it warned of."""
+    found = exposures(config)
+    file = loaded.config.zenoh.config_file
+    if found and not insecure:
+        where = f"zenoh.config_file {file}: " if file else "zenoh."
+        raise ConfigFault(
+            f"{where}{found[0]}; use tls/ with certificates (SECURITY.md), stay on 127.0.0.1 with zenoh.scouting = "
+            "false, or allow it by --insecure"
+        )
+    for text in (*found, *weaknesses(config)):
+        log.warning("insecure: %s", text)
+
+
+def open_session(config: zenoh.Config) -> zenoh.Session:
     """Open the session; TransportError where a port is taken or a setting is wrong."""
-    config = zenoh_config(loaded)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        where = ", ".join(loaded.config.zenoh.listen) or "no listen endpoint"
+        where = ", ".join(map(without_secrets, endpoints_of(config, "listen"))) or "no listen endpoint"
         raise TransportError(
-            f"zenoh can't be opened on {where} ({_first_line(error)}); is the port in use? "
-            "Set zenoh.listen to another one"
+            f"zenoh can't be opened on {where} ({told(error, config)}); is the port in use? Set zenoh.listen to "
+            "another one"
         ) from None
 
 
@@ -94,8 +111,3 @@ def claim(
         stop.wait(min(0.2, left))
         if others[0] < own:
             token = session.liveliness().declare_token(own)
-
-
-def _first_line(error: Exception) -> str:
-    # Zenoh adds where in its own sources an error arose: " at /.../file.rs:12".
-    return str(error).splitlines()[0].split(" at /")[0][:200]

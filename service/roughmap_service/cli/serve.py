@@ -18,8 +18,11 @@ from .options import config_options, load
 @click.command()
 @config_options
 @click.option("--fresh", is_flag=True, help="Begin a new run; the store is renamed to map.db.RUN, old logs stay.")
+@click.option("--insecure", is_flag=True, help="Allow whoever is on the network to connect: no TLS beyond loopback.")
 @click.option("--verbose", is_flag=True, help="Tell more on stderr.")
-def serve(config_path: Path | None, settings: tuple[tuple[str, object], ...], fresh: bool, verbose: bool) -> None:
+def serve(
+    config_path: Path | None, settings: tuple[tuple[str, object], ...], fresh: bool, insecure: bool, verbose: bool
+) -> None:
     """roughmap serve -c roughmap.toml
 
     Keep one map: take scans and poses from Zenoh, log them, answer planners' queries. Prints one JSON line on stdout
@@ -48,4 +51,4 @@ def serve(config_path: Path | None, settings: tuple[tuple[str, object], ...], fr
     def progress(done: int, files: int) -> None:
         click.echo(f"folding the log: file {done + 1} of {files}", err=True)
 
-    run(load(config_path, settings), stop, announce, fresh=fresh, progress=progress)
+    run(load(config_path, settings), stop, announce, fresh=fresh, insecure=insecure, progress=progress)

@@ -1,0 +1,109 @@
+"""How a session proves who it is, put into a Zenoh configuration; and Zenoh's errors, without their secrets."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any, Final
+
+import zenoh
+
+from roughmap_schemas.config import HIDDEN, without_secrets
+from roughmap_schemas.faults import ConfigFault
+from roughmap_schemas.sections import ZenohConfig
+
+MAX_PASSWORD: Final = 4096
+"""Bytes of a password file: anything larger is another file."""
+
+
+def read_zenoh_file(path: str | Path, name: str = "zenoh.config_file") -> zenoh.Config:
+    """Read a Zenoh configuration (JSON5); ConfigFault says where it is wrong, but not what stands there."""
+    _check_readable(name, path)
+    try:
+        return zenoh.Config.from_file(str(path))
+    except zenoh.ZError as error:
+        raise ConfigFault(f"{name}: {path}: is no Zenoh configuration{_place(str(error))}") from None
+
+
+def add_access(config: zenoh.Config, given: ZenohConfig) -> None:
+    """Put certificates, user and password of the ``zenoh`` settings into a configuration; what isn't given stays.
+
+    ConfigFault for a file that can't be read.
+    """
+    tls: dict[str, object] = {}
+    if given.authority:
+        _check_readable("zenoh.authority", given.authority)
+        tls["root_ca_certificate"] = given.authority
+    if given.certificate and given.private_key:
+        _check_readable("zenoh.certificate", given.certificate)
+        _check_readable("zenoh.private_key", given.private_key)
+        for side in ("listen", "connect"):
+            tls[f"{side}_certificate"] = given.certificate
+            tls[f"{side}_private_key"] = given.private_key
+        if given.authority:
+            tls["enable_mtls"] = True
+    if tls:
+        tls["close_link_on_expiration"] = True
+    for name, value in tls.items():
+        config.insert_json5(f"transport/link/tls/{name}", json.dumps(value))
+    if given.user:
+        config.insert_json5("transport/auth/usrpwd/user", json.dumps(given.user))
+        config.insert_json5("transport/auth/usrpwd/password", json.dumps(_password(given)))
+
+
+def endpoints_of(config: zenoh.Config, which: str) -> list[str]:
+    """Give the endpoints to which a session will ``listen`` or ``connect``, in its mode."""
+    value = _of_mode(setting(config, f"{which}/endpoints"), setting(config, "mode") or "peer")
+    # Several to one neighbour may stand in a table with its strategy.
+    groups = [one["locators"] if isinstance(one, dict) else [one] for one in value or []]
+    return [endpoint for group in groups for endpoint in group]
+
+
+def setting(config: zenoh.Config, path: str) -> Any:
+    """Give a value of a Zenoh configuration, None where it is left to Zenoh."""
+    return json.loads(config.get_json(path))
+
+
+def told(error: Exception, config: zenoh.Config) -> str:
+    """Give what Zenoh says of a failure in one line, without secrets and where in its own sources it arose."""
+    text = str(error).split("\n", 1)[0].split(" at /", 1)[0]
+    for endpoint in endpoints_of(config, "listen") + endpoints_of(config, "connect"):
+        text = text.replace(endpoint, without_secrets(endpoint))
+    # And whatever else looks like an endpoint's end: Zenoh may write it in another way than the configuration does.
+    return re.sub(rf"(/[^\s?#\]),]+)[?#](?!{HIDDEN})[^\s\]),]*", rf"\1#{HIDDEN}", text)[:200]
+
+
+def _password(given: ZenohConfig) -> str:
+    if given.password is not None:
+        return given.password.get_secret_value()
+    path = Path(given.password_file or "")
+    _check_readable("zenoh.password_file", path)
+    with path.open("rb") as stream:
+        content = stream.read(MAX_PASSWORD + 1)
+    try:
+        password = content.decode().rstrip("\r\n")
+    except UnicodeDecodeError:
+        password = ""
+    if not password or len(content) > MAX_PASSWORD:
+        raise ConfigFault(
+            f"zenoh.password_file: {path}: expected a password as UTF-8 text, at most {MAX_PASSWORD} bytes"
+        )
+    return password
+
+
+def _check_readable(name: str, path: str | Path) -> None:
+    try:
+        with Path(path).open("rb"):
+            pass
+    except OSError as error:
+        raise ConfigFault(f"{name}: {path}: can't be read: {error.strerror or error}") from None
+
+
+def _place(error: str) -> str:
+    """Line, column and what was expected there. What was found may be a password, and is left out."""
+    at = re.search(r"line: (\d+), column: (\d+)", error) or re.search(r"--> (\d+):(\d+)", error)
+    expected = re.search(r"expected ([^\"\n]+?)(?:\"| at /|$)", error, re.MULTILINE)
+    return (f", line {at[1]}, column {at[2]}" if at else "") + (f": expected {expected[1]}" if expected else "")
+
+
+def _of_mode(value: Any, mode: str) -> Any:
+    return value.get(mode) if isinstance(value, dict) else value
