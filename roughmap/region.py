@@ -102,14 +102,14 @@ def read_region(
     layers = {name: unknown_plane(name, (j1 - j0, i1 - i0)) for name in names}
     (x0, y0, x1, y1), (tx, ty) = tiles, frozen.tiles.T
     for x, y in frozen.tiles[(tx >= x0) & (tx <= x1) & (ty >= y0) & (ty <= y1)].tolist():
-        across, columns = _overlap(x, i0, i1)
-        up, rows = _overlap(y, j0, j1)
+        across, columns = overlap(x, i0, i1)
+        up, rows = overlap(y, j0, j1)
         for name, plane in frozen.tile_layers(x, y, names, height_tolerance, limits).items():
             layers[name][up, across] = plane[rows, columns]
     return Region(layers, cells=cells, cell_size=frozen.cell_size, sequence=frozen.sequence, level=frozen.level)
 
 
-def _overlap(tile: int, first: int, end: int) -> tuple[slice, slice]:
+def overlap(tile: int, first: int, end: int) -> tuple[slice, slice]:
     """Along one axis, where a tile meets the cells [first, end): the slice of those, and the slice of the tile."""
     low, high = max(tile * TILE_CELLS, first), min((tile + 1) * TILE_CELLS, end)
     return slice(low - first, high - first), slice(low - tile * TILE_CELLS, high - tile * TILE_CELLS)

@@ -1,7 +1,8 @@
 """Layers of a tile or a region: ``foxglove.Grid`` and arrays."""
 
 import math
-from collections.abc import Mapping
+import threading
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from roughmap_schemas.faults import bad_message, too_large
 from roughmap_schemas.geometry import read_stamp, read_vector, write_stamp
-from roughmap_schemas.wire import check_outline, parse
+from roughmap_schemas.wire import LENGTH, check_outline, parse, write_varint
 
 WHAT: Final = "foxglove.Grid"
 TYPES: Final = {"f4": PackedElementField.FLOAT32, "f8": PackedElementField.FLOAT64}
@@ -22,7 +23,20 @@ DTYPES: Final[Mapping[int, np.dtype[Any]]] = {7: np.dtype("<f4"), 8: np.dtype("<
 MAX_DATA: Final = 1 << 30
 """Bytes that a reader unpacks at most, unless it says otherwise: 2^26 cells of four float32 layers."""
 
+DATA_TAG: Final = bytes([GridMessage.DATA_FIELD_NUMBER << 3 | LENGTH])
+
 Compression = Literal["zstd"] | None
+
+
+class _Compressors(threading.local):
+    """One a thread, since it can't be shared, and a new one costs as much as compressing a tile."""
+
+    def __init__(self) -> None:
+        # Level 1: heights hardly shrink (a tenth), unknown cells vanish at any level, and it takes two thirds of 3.
+        self.own = zstandard.ZstdCompressor(level=1)
+
+
+_COMPRESSORS: Final = _Compressors()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,23 +68,52 @@ def encode_grid(
     if len(shapes) != 1 or len(shape := shapes.pop()) != 2:
         raise ValueError("layers: expected at least one, all of one shape (rows, columns)")
     packed = np.empty((*shape, len(layers)), np.dtype(f"<{dtype}"))
-    message = GridMessage()
     with np.errstate(over="ignore"):  # what float32 can't hold becomes infinite
-        for number, (name, layer) in enumerate(layers.items()):
+        for number, layer in enumerate(layers.values()):
             packed[:, :, number] = layer
-            field = PackedElementField(name=name, offset=number * packed.itemsize, type=TYPES[dtype])
-            message.fields.append(field)
+    return encode_packed(tuple(layers), packed, origin, cell_size, stamp_ns, frame_id, compression)
+
+
+def encode_packed(
+    names: Sequence[str],
+    packed: NDArray[np.floating[Any]],
+    origin: tuple[float, float],
+    cell_size: float,
+    stamp_ns: int,
+    frame_id: str,
+    compression: Compression = None,
+) -> bytes:
+    """Make a grid's payload from values as they lie in it: (rows, columns, layers), little-endian, contiguous.
+
+    The bytes are protobuf's own, with the data, the field of the highest number, behind all else: so it is copied once
+    and not by the message, the serialiser and the buffers between.
+    """
+    message = GridMessage()
+    for number, name in enumerate(names):
+        kind = TYPES[f"f{packed.itemsize}"]
+        message.fields.append(PackedElementField(name=name, offset=number * packed.itemsize, type=kind))
     write_stamp(message, stamp_ns)
     message.frame_id = frame_id
     message.pose.position.x, message.pose.position.y = float(origin[0]), float(origin[1])
     message.pose.orientation.w = 1.0
     message.cell_size.x = message.cell_size.y = cell_size
-    message.column_count = shape[1]
-    message.cell_stride = packed.itemsize * len(layers)
-    message.row_stride = message.cell_stride * shape[1]
-    data = packed.tobytes()
-    message.data = zstandard.ZstdCompressor(level=3).compress(data) if compression == "zstd" else data
-    return bytes(message.SerializeToString())
+    message.column_count = packed.shape[1]
+    message.cell_stride = packed.itemsize * len(names)
+    message.row_stride = message.cell_stride * packed.shape[1]
+    data: bytes | memoryview = packed.reshape(-1).view(np.uint8).data
+    if compression == "zstd":
+        data = _COMPRESSORS.own.compress(data)
+    size = len(data)
+    return b"".join(
+        (message.SerializeToString(), DATA_TAG, write_varint(size), data) if size else (message.SerializeToString(),)
+    )
+
+
+def packed_data(payload: bytes, packed: tuple[int, int, int], dtype: Literal["f4", "f8"]) -> NDArray[np.floating[Any]]:
+    """A view of the values (rows, columns, layers) in a payload that `encode_packed` made without compression."""
+    kind = np.dtype(f"<{dtype}")
+    count = math.prod(packed)
+    return np.frombuffer(payload, kind, count, len(payload) - count * kind.itemsize).reshape(packed)
 
 
 def decode_grid(payload: bytes, compression: Compression = None, *, max_data: int = MAX_DATA) -> Grid:

@@ -218,6 +218,8 @@ class QueryConfig(Section):
     max_region_cells: AtLeastOne = 4_000_000
     max_running_cells: AtLeastOne = 16_000_000
     queue_limit: AtLeastOne = 64
+    cache_limit: Size = 64 << 20
+    """Bytes of encoded tiles that are kept for whoever asks the same again."""
 
 
 class LogConfig(Section):

@@ -73,6 +73,16 @@ def _varint(payload: bytes, what: str, at: int, end: int) -> tuple[int, int]:
     raise bad_message(f"expected {what}; found {found} at byte {at}")
 
 
+def write_varint(value: int) -> bytes:
+    """A number, 0 or more, as it stands before what is as long: seven bits a byte, the lowest first."""
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
 class _Outline(NamedTuple):
     """What a message's fields look like on the wire."""
 

@@ -23,7 +23,8 @@ from roughmap_schemas.keys import Keys, Selected
 from roughmap_schemas.reasons import QueryCode
 from roughmap_schemas.selectors import Bbox, RegionQuery, TileQuery
 from roughmap_service.emptied import Emptied, Gone
-from roughmap_service.tile_reply import TILE_LIMIT, Identity, TileReply, Wanted, region_reply, tile_range, tile_reply
+from roughmap_service.tile_cache import TileCache
+from roughmap_service.tile_reply import TILE_LIMIT, Drawing, Identity, Wanted, region_reply, tile_range, tile_reply
 from roughmap_service.view import View
 
 TILE_AREA = TILE_CELLS * TILE_CELLS
@@ -69,6 +70,7 @@ class Reader:
         self.max_reply_tiles = config.query.max_reply_tiles
         self.max_region_cells = min(config.query.max_region_cells, MAX_CELLS)
         self._emptied = emptied
+        self._cache = TileCache(config.query.cache_limit)
 
     def wanted(self, look: TileQuery | RegionQuery) -> Wanted:
         """What is asked of each cell, the map's settings in place of what was left open."""
@@ -141,27 +143,28 @@ class Reader:
                 raise QueryFault(
                     QueryCode.SINCE_AHEAD, f"since: the map is at sequence {sequence}; found {asked.since}"
                 )
-            chosen: list[tuple[Frozen, int, int, int]] = []
+            chosen: list[tuple[Drawing, int, int, int]] = []
             for (level, box), frozen in zip(boxes, levels, strict=True):
+                drawing = Drawing(frozen, epoch, wanted, self.identity.frame_id, self._cache)
                 tiles, sequences = frozen.tiles, frozen.sequences
                 if same_epoch and asked.since is not None:
                     newer = sequences > asked.since
                     tiles, sequences = tiles[newer], sequences[newer]
-                chosen.extend((frozen, x, y, s) for (x, y), s in zip(tiles.tolist(), sequences.tolist(), strict=True))
+                chosen.extend((drawing, x, y, s) for (x, y), s in zip(tiles.tolist(), sequences.tolist(), strict=True))
                 if asked.since is not None and not same_epoch:
                     emptied = _within(gone.tiles(level, frozen.tiles), box)
-                    chosen.extend((frozen, x, y, gone.sequence) for x, y in emptied.tolist())
+                    chosen.extend((drawing, x, y, gone.sequence) for x, y in emptied.tolist())
             if pattern is not None:
-                chosen = [c for c in chosen if pattern.intersects(self.keys.tile(c[0].level, c[1], c[2]))]
+                chosen = [c for c in chosen if pattern.intersects(self.keys.tile(c[0].frozen.level, c[1], c[2]))]
             if len(chosen) > self.max_reply_tiles:
                 raise QueryFault(
                     QueryCode.TOO_LARGE,
                     f"{len(chosen)} tiles; expected at most {self.max_reply_tiles} (query.max_reply_tiles): ask for a "
                     "smaller bbox or a coarser level",
                 )
-            for frozen, x, y, tile_sequence in chosen:
-                reply = tile_reply(frozen, x, y, tile_sequence, wanted, self.identity, epoch, len(chosen))
-                send(self.keys.tile(frozen.level, x, y), reply.payload, GRID, reply.attachment)
+            for drawing, x, y, tile_sequence in chosen:
+                reply = tile_reply(drawing, x, y, tile_sequence, self.identity, len(chosen))
+                send(self.keys.tile(drawing.frozen.level, x, y), reply.payload, GRID, reply.attachment)
             return Outcome(len(chosen), sequence)
 
     # Region ---------------------------------------------------------------------------------------------------------
@@ -199,7 +202,7 @@ class Reader:
 
     def _answer_region(self, asked: RegionQuery, cells: CellBox, send: Send) -> Outcome:
         with self.frozen([(asked.level, tile_box(cells))]) as ((frozen,), epoch, sequence, _):
-            reply: TileReply = region_reply(frozen, asked.bbox, self.wanted(asked), self.identity, epoch)
+            reply = region_reply(frozen, epoch, cells, self.wanted(asked), self.identity, self._cache)
         send(self.keys.region, reply.payload, GRID, reply.attachment)
         return Outcome(1, sequence)
 

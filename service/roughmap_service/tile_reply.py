@@ -1,20 +1,19 @@
 """A tile, or a region, as readers get it: a foxglove.Grid and what it is a state of."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
 from roughmap.frozen import Frozen
-from roughmap.region import read_region, tile_box
-from roughmap_schemas.grid import encode_grid
+from roughmap.layers import ZERO_WHERE_UNKNOWN
+from roughmap.region import CellBox, overlap, tile_box
+from roughmap_schemas.grid import encode_grid, encode_packed, packed_data
 from roughmap_schemas.messages import TileInfo, model_bytes
-
-Plane = npt.NDArray[np.float64]
+from roughmap_service.tile_cache import DrawnTile, TileCache
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +37,11 @@ class Wanted:
     dtype: Literal["f4", "f8"] = "f4"
     compression: Literal["zstd"] | None = None
 
+    @property
+    def key(self) -> Hashable:
+        """Equal for those that want the same."""
+        return self.layers, self.tolerance, tuple(sorted(self.limits.items())), self.dtype, self.compression
+
 
 @dataclass(frozen=True, slots=True)
 class TileReply:
@@ -48,48 +52,103 @@ class TileReply:
     info: TileInfo
 
 
-def tile_reply(
-    frozen: Frozen, x: int, y: int, sequence: int, wanted: Wanted, identity: Identity, epoch: int, answer_tiles: int
-) -> TileReply:
-    """The reply of tile (x, y) of the level of ``frozen``; ``sequence`` is the tile's own.
+class Drawing:
+    """Draws tiles of one frozen map, at one level, in one form; those that ``cache`` holds are not drawn again."""
+
+    def __init__(
+        self, frozen: Frozen, epoch: int, wanted: Wanted, frame_id: str, cache: TileCache | None = None
+    ) -> None:
+        self.frozen = frozen
+        self.epoch = epoch
+        self.wanted = wanted
+        self._frame_id = frame_id
+        self._cache = cache
+        # A tile's layers are as old as its sequence, but for the ages, which count from the map's newest point.
+        now = frozen.newest_updated if "age" in wanted.layers else None
+        self._key = epoch, frozen.level, wanted.key, now
+
+    def tile(self, x: int, y: int, sequence: int) -> DrawnTile:
+        """Tile (x, y), whose own sequence is ``sequence``; all unknown if there is none."""
+        if self._cache is None:
+            return self._draw(x, y)
+        return self._cache.get((x, y, sequence, self._key), lambda: self._draw(x, y))
+
+    def _draw(self, x: int, y: int) -> DrawnTile:
+        frozen, wanted = self.frozen, self.wanted
+        layers = frozen.tile_layers(x, y, wanted.layers, wanted.tolerance, wanted.limits)
+        known_cells = frozen.known_cells(x, y)
+        oldest_ns, newest_ns = frozen.stamps(x, y) if known_cells else (0, 0)
+        payload = encode_grid(
+            layers,
+            (x * TILE_CELLS * frozen.cell_size, y * TILE_CELLS * frozen.cell_size),
+            frozen.cell_size,
+            newest_ns,
+            self._frame_id,
+            dtype=wanted.dtype,
+            compression=wanted.compression,
+        )
+        return DrawnTile(payload, known_cells, oldest_ns, newest_ns, frozen.digest(x, y))
+
+
+def tile_reply(drawing: Drawing, x: int, y: int, sequence: int, identity: Identity, answer_tiles: int) -> TileReply:
+    """The reply of tile (x, y); ``sequence`` is the tile's own.
 
     A tile without a known cell answers too (all unknown, known_cells 0): one that a reset emptied.
     """
-    layers = frozen.tile_layers(x, y, wanted.layers, wanted.tolerance, wanted.limits)
-    known_cells = frozen.known_cells(x, y)
-    oldest_ns, newest_ns = frozen.stamps(x, y) if known_cells else (0, 0)
+    drawn = drawing.tile(x, y, sequence)
     info = TileInfo(
         map=identity.map,
         instance=identity.instance,
-        epoch=epoch,
-        z=frozen.level,
+        epoch=drawing.epoch,
+        z=drawing.frozen.level,
         x=x,
         y=y,
         sequence=sequence,
-        map_sequence=frozen.sequence,
+        map_sequence=drawing.frozen.sequence,
         answer_tiles=answer_tiles,
-        oldest_ns=oldest_ns,
-        newest_ns=newest_ns,
-        known_cells=known_cells,
-        digest=frozen.digest(x, y),
+        oldest_ns=drawn.oldest_ns,
+        newest_ns=drawn.newest_ns,
+        known_cells=drawn.known_cells,
+        digest=drawn.digest,
         configuration_digest=identity.configuration_digest,
-        compression=wanted.compression,
+        compression=drawing.wanted.compression,
     )
-    origin = (x * TILE_CELLS * frozen.cell_size, y * TILE_CELLS * frozen.cell_size)
-    return _reply(layers, origin, frozen.cell_size, wanted, identity, info)
+    return TileReply(drawn.payload, model_bytes(info), info)
 
 
 def region_reply(
-    frozen: Frozen, bbox: tuple[float, float, float, float], wanted: Wanted, identity: Identity, epoch: int
+    frozen: Frozen,
+    epoch: int,
+    cells: CellBox,
+    wanted: Wanted,
+    identity: Identity,
+    cache: TileCache | None = None,
 ) -> TileReply:
-    """One Grid over the cells that ``bbox`` covers; ``frozen`` must hold their tiles.
+    """One Grid over the cells (i0, j0, i1, j1), half-open; ``frozen`` must hold their tiles.
 
-    Its stamps and its sequence are those of the tiles that it touches.
+    A mosaic of tiles as they are drawn for tile queries. Its stamps and its sequence are those of the tiles that it
+    touches.
     """
-    region = read_region(frozen, bbox, dict.fromkeys((*wanted.layers, "count")), wanted.tolerance, wanted.limits)
-    x0, y0, x1, y1 = tile_box(region.cells)
+    i0, j0, i1, j1 = cells
+    x0, y0, x1, y1 = tile_box(cells)
     inside = (frozen.tiles >= (x0, y0)).all(axis=1) & (frozen.tiles <= (x1, y1)).all(axis=1)
-    stamps = [frozen.stamps(x, y) for x, y in frozen.tiles[inside].tolist()]
+    tiles, sequences = frozen.tiles[inside].tolist(), frozen.sequences[inside].tolist()
+    packed = np.empty((j1 - j0, i1 - i0, len(wanted.layers)), np.dtype(f"<{wanted.dtype}"))
+    if len(tiles) < (x1 - x0 + 1) * (y1 - y0 + 1):
+        blank = [0.0 if name in ZERO_WHERE_UNKNOWN else np.nan for name in wanted.layers]
+        packed.reshape(j1 - j0, -1)[:] = np.tile(np.array(blank, packed.dtype), i1 - i0)  # ten times packed[:] = blank
+    drawing = Drawing(frozen, epoch, replace(wanted, compression=None), identity.frame_id, cache)
+    known_cells, stamps = 0, []
+    for (x, y), sequence in zip(tiles, sequences, strict=True):
+        drawn = drawing.tile(x, y, sequence)
+        across, columns = overlap(x, i0, i1)
+        up, rows = overlap(y, j0, j1)
+        values = packed_data(drawn.payload, (TILE_CELLS, TILE_CELLS, len(wanted.layers)), wanted.dtype)
+        packed[up, across] = values[rows, columns]
+        whole = rows == columns == slice(0, TILE_CELLS)
+        part = frozen.records(x, y)[rows, columns]["count"]
+        known_cells += drawn.known_cells if whole else int(np.count_nonzero(part))
+        stamps.append((drawn.oldest_ns, drawn.newest_ns))
     info = TileInfo(
         map=identity.map,
         instance=identity.instance,
@@ -97,35 +156,23 @@ def region_reply(
         z=frozen.level,
         x=None,
         y=None,
-        sequence=int(frozen.sequences[inside].max(initial=0)),
+        sequence=max(sequences, default=0),
         map_sequence=frozen.sequence,
         answer_tiles=1,
         oldest_ns=min((oldest for oldest, _ in stamps), default=0),
         newest_ns=max((newest for _, newest in stamps), default=0),
-        known_cells=int(np.count_nonzero(region["count"])),
+        known_cells=known_cells,
         digest=None,
         configuration_digest=identity.configuration_digest,
         compression=wanted.compression,
     )
-    layers = {name: region[name] for name in wanted.layers}
-    return _reply(layers, region.origin, region.cell_size, wanted, identity, info)
-
-
-def _reply(
-    layers: Mapping[str, Plane],
-    origin: tuple[float, float],
-    cell_size: float,
-    wanted: Wanted,
-    identity: Identity,
-    info: TileInfo,
-) -> TileReply:
-    payload = encode_grid(
-        {name: layers[name] for name in wanted.layers},
-        origin,
-        cell_size,
+    payload = encode_packed(
+        wanted.layers,
+        packed,
+        (i0 * frozen.cell_size, j0 * frozen.cell_size),
+        frozen.cell_size,
         info.newest_ns,
         identity.frame_id,
-        dtype=wanted.dtype,
         compression=wanted.compression,
     )
     return TileReply(payload, model_bytes(info), info)

@@ -18,7 +18,7 @@ from roughmap_schemas.encodings import GRID
 from roughmap_schemas.keys import Keys
 from roughmap_schemas.messages import UpdateRecord, model_bytes
 from roughmap_service.emptied import Emptied, without
-from roughmap_service.tile_reply import Identity, Wanted, tile_reply
+from roughmap_service.tile_reply import Drawing, Identity, Wanted, tile_reply
 from roughmap_service.view import View
 
 LOG = logging.getLogger(__name__)
@@ -181,8 +181,9 @@ class Updates:
             changed = frozen.sequences > (told_sequence if epoch == told_epoch else -1)
             tiles = zip(frozen.tiles[changed].tolist(), frozen.sequences[changed].tolist(), strict=True)
             gone = without(state.tiles, frozen.tiles)
+            drawing = Drawing(frozen, epoch, self._wanted, self._identity.frame_id)
             for (x, y), sequence in [*tiles, *((tile, frozen.sequence) for tile in gone.tolist())]:
-                reply = tile_reply(frozen, x, y, sequence, self._wanted, self._identity, epoch, 1)
+                reply = tile_reply(drawing, x, y, sequence, self._identity, 1)
                 key = self._keys.update(level, x, y)
                 # BLOCK, since the last change must come: a reader that stalls holds this thread up for 5 s at most,
                 # then its link is closed. Nothing but this thread waits for it.

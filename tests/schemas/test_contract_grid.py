@@ -1,5 +1,7 @@
 """Grids: layers of tiles and regions on the wire."""
 
+from typing import Literal
+
 import numpy as np
 import pytest
 import zstandard
@@ -58,6 +60,13 @@ def test_only_the_data_is_compressed() -> None:
     assert zstandard.ZstdDecompressor().decompress(packed.data) == plain.data
     packed.data = plain.data
     assert packed == plain
+
+
+@pytest.mark.parametrize("side", [1, 4, 64])  # data of 1, 2 and 3 bytes of length
+@pytest.mark.parametrize("compression", [None, "zstd"])
+def test_the_bytes_are_protobufs_own(side: int, compression: Literal["zstd"] | None) -> None:
+    payload = encode_grid({"range": np.ones((side, side))}, (1.0, -2.0), 0.1, STAMP, "map", compression=compression)
+    assert GridMessage.FromString(payload).SerializeToString(deterministic=True) == payload
 
 
 def test_a_foreign_grid_with_padding() -> None:
