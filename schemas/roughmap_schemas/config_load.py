@@ -26,7 +26,7 @@ FILES_ONLY: Final = ("sensors", "robots")
 
 DEFAULT: Final = "default"
 
-SECRETS: Final = ("zenoh.password",)
+SECRETS: Final = ("zenoh.password", "http.token")
 """Settings that are taken from the environment alone: a command line is seen by all, a file is passed around."""
 
 

@@ -258,6 +258,16 @@ class HttpConfig(Section):
     """Where health, metrics and the viewer are served."""
 
     listen: Annotated[str | None, MaybeNone, AfterValidator(_address)] = "127.0.0.1:8080"
+    token: Annotated[SecretStr | None, MaybeNone] = None
+    """What who asks for more than health must show; in the environment only (``ROUGHMAP_HTTP__TOKEN``)."""
+    token_file: Annotated[str | None, MaybeNone] = None
+    """File that holds it."""
+
+    @model_validator(mode="after")
+    def _one_token(self) -> "HttpConfig":
+        if self.token is not None and self.token_file is not None:
+            raise ValueError("http.token_file: must not be given beside http.token")
+        return self
 
 
 class ServiceConfig(Section):
@@ -268,3 +278,6 @@ class ServiceConfig(Section):
     """Threads that integrate; 0: as many as numba takes."""
     alive_wait: NotNegative = 15.0
     """How long another instance's token is waited for; a dead one's lives until its lease ends."""
+    log_format: Literal["auto", "json", "text"] = "auto"
+    """Of the lines on stderr; "auto" is text on a terminal and JSON elsewhere."""
+    log_level: Literal["debug", "info", "warning", "error"] = "info"

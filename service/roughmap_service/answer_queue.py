@@ -65,6 +65,12 @@ class AnswerQueue:
     ) -> None:
         self.close()
 
+    @property
+    def waiting(self) -> int:
+        """Jobs that no thread has taken yet."""
+        with self._condition:
+            return len(self._waiting)
+
     def submit(self, cells: int, run: Callable[[], None], refuse: Callable[[QueryFault], None]) -> None:
         """Takes a job in; raises ``QueryFault`` (``busy``, ``shutting_down``) at once if it can't."""
         with self._condition:

@@ -135,6 +135,11 @@ class Answers:
     ) -> None:
         self.close()
 
+    @property
+    def waiting(self) -> int:
+        """Queries that wait for a worker."""
+        return self._queue.waiting
+
     def close(self) -> None:
         """End: what waits and what still comes is answered `shutting_down`, what runs gets 2 s."""
         self._queue.close()

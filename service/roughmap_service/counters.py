@@ -1,9 +1,13 @@
-"""What the service counts since its start, for the status."""
+"""What the service counts since its start: the one source of status, metrics and log lines."""
 
 import threading
 import time
+from bisect import bisect_left
 from collections import Counter, deque
+from copy import deepcopy
 from dataclasses import dataclass, field
+
+from roughmap_service.settings import MAX_ROBOTS
 
 LAG_WINDOW = 10.0
 """Seconds over which lag and rates are told (the design's)."""
@@ -16,6 +20,25 @@ LAG_SAMPLES = 4096
 
 RATE_SAMPLES = 20_000
 """At most so many poses are remembered for their rate: 2,000 a second over the window."""
+
+BOUNDS = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+"""Upper bounds in seconds under which durations are counted: from a fast disk's sync to a hopeless lag."""
+
+OTHERS = "(others)"
+"""The robots past the first `MAX_ROBOTS`, counted together; no robot can be named so."""
+
+
+class Durations:
+    """How many durations lay at or below each bound (the last count: above all), and their sum in seconds."""
+
+    def __init__(self) -> None:
+        self.counts = [0] * (len(BOUNDS) + 1)
+        self.total = 0.0
+
+    def add(self, seconds: float) -> None:
+        """One more."""
+        self.counts[bisect_left(BOUNDS, seconds)] += 1
+        self.total += seconds
 
 
 @dataclass
@@ -39,7 +62,11 @@ class Counts:
     refused: Counter[str] = field(default_factory=Counter)
     gaps: Counter[str] = field(default_factory=Counter)
     jumps: Counter[str] = field(default_factory=Counter)
-    outputs_dropped: int = 0
+    outputs_dropped: Counter[str] = field(default_factory=Counter)
+    lag: Durations = field(default_factory=Durations)
+    integration: Durations = field(default_factory=Durations)
+    log_sync: Durations = field(default_factory=Durations)
+    queries: dict[str, Durations] = field(default_factory=lambda: {"ok": Durations()})
 
 
 class Counters:
@@ -52,12 +79,18 @@ class Counters:
         self._recent: deque[tuple[float, float, int]] = deque(maxlen=LAG_SAMPLES)
         self._recent_poses: deque[float] = deque(maxlen=RATE_SAMPLES)
 
-    def cloud(self, outcome: str, accepted: int, rejected: dict[str, int], arrival: float | None) -> None:
-        """One decided cloud; ``arrival`` is its monotonic time in seconds (None: taken up again after a restart)."""
+    def cloud(
+        self, outcome: str, accepted: int, rejected: dict[str, int], arrival: float | None, seconds: float = 0.0
+    ) -> None:
+        """One decided cloud; ``arrival`` is its monotonic time in seconds (None: taken up again after a restart),
+        ``seconds`` how long its integration took."""
         with self._lock:
             if outcome == "integrated":
                 self._counts.clouds_accepted += 1
+                self._counts.integration.add(seconds)
                 now = time.monotonic()
+                if arrival is not None:
+                    self._counts.lag.add(now - arrival)
                 self._recent.append((now, now - (arrival if arrival is not None else now), accepted))
             else:
                 self._counts.clouds_rejected[outcome] += 1
@@ -85,27 +118,32 @@ class Counters:
     def gap(self, robot: str, missing: int) -> None:
         """``missing`` messages of a robot were lost on the way here."""
         with self._lock:
-            self._counts.gaps[robot] += missing
+            self._counts.gaps[_bounded(robot, self._counts.gaps)] += missing
 
     def jump(self, robot: str) -> None:
         """A robot's transform jumped."""
         with self._lock:
-            self._counts.jumps[robot] += 1
+            self._counts.jumps[_bounded(robot, self._counts.jumps)] += 1
 
-    def output_dropped(self) -> None:
-        """One record of an answer or an update found no room on its way to the log."""
+    def output_dropped(self, kind: str) -> None:
+        """One record of an answer ("queries") or an update ("updates") found no room on its way to the log."""
         with self._lock:
-            self._counts.outputs_dropped += 1
+            self._counts.outputs_dropped[kind] += 1
+
+    def query(self, outcome: str, seconds: float) -> None:
+        """One query, from its arrival to its last reply; ``outcome`` is "ok" or a `QueryCode`."""
+        with self._lock:
+            self._counts.queries.setdefault(outcome, Durations()).add(seconds)
+
+    def log_synced(self, seconds: float) -> None:
+        """The log was brought to the disk."""
+        with self._lock:
+            self._counts.log_sync.add(seconds)
 
     def snapshot(self) -> Counts:
         """A copy that no longer changes."""
         with self._lock:
-            c = self._counts
-            return Counts(
-                c.clouds_accepted, Counter(c.clouds_rejected), c.points_accepted, Counter(c.points_rejected),
-                c.poses_accepted, Counter(c.poses_rejected), Counter(c.refused), Counter(c.gaps), Counter(c.jumps),
-                c.outputs_dropped,
-            )  # fmt: skip
+            return deepcopy(self._counts)
 
     @property
     def overloaded(self) -> bool:
@@ -132,3 +170,8 @@ class Counters:
         with self._lock:
             poses = sum(arrival >= since for arrival in self._recent_poses)
         return len(window) / LAG_WINDOW, sum(sample[2] for sample in window) / LAG_WINDOW, poses / LAG_WINDOW
+
+
+def _bounded(robot: str, counts: Counter[str]) -> str:
+    """The name to count a robot under: names come from outside, before it is known whether the robot is let in."""
+    return robot if robot in counts or len(counts) < MAX_ROBOTS else OTHERS

@@ -16,6 +16,7 @@ from roughmap_schemas import Keys, MessageFault, Refusal, check_encoding, encodi
 from .counters import Counters
 from .ingest import IngestReply, Replies
 from .log_file import Kind
+from .logs import note
 
 log = logging.getLogger(__name__)
 
@@ -56,6 +57,12 @@ class Intake:
     _poses: int = 0
     _wake: threading.Condition = field(default_factory=threading.Condition)
     closed: bool = False
+
+    @property
+    def held(self) -> int:
+        """Bytes of the clouds that are queued."""
+        with self._wake:
+            return self._held.total()
 
     def put(self, message: InputMessage) -> None:
         """Queue a message, or drop one and count it."""
@@ -212,7 +219,10 @@ class ZenohInputs:
         number = int.from_bytes(attachment.to_bytes(), "little")
         last = self._sequences.get((robot, kind))
         if last is not None and number > last + 1:
-            self._counters.gap(robot, number - last - 1)
+            missing = number - last - 1
+            self._counters.gap(robot, missing)
+            text = f"robot {robot}: {missing} {kind.value} messages are missing before number {number}"
+            note(log, logging.WARNING, "gap", text, robot=robot, kind=kind.value, missing=missing)
         if last is not None or len(self._sequences) < MAX_POSES_QUEUED:
             self._sequences[robot, kind] = number
 

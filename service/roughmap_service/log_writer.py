@@ -14,6 +14,7 @@ from typing import Self
 from roughmap_schemas import RunMetadata
 
 from .log_file import LogFile, LogRecord, Mark, OpenFile, file_name, open_new
+from .logs import note
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +52,7 @@ class LogWriter:
 
     `put` never blocks and never fails: who must not run ahead of the disk asks `wait_room` first. Whatever is not on
     the disk yet is kept, so that a file that failed can be left behind and its end written first to the next one.
+    ``synced`` is told how many seconds each fsync took.
     """
 
     def __init__(
@@ -65,6 +67,7 @@ class LogWriter:
         max_file_age: float = 3600.0,
         open_file: OpenFile = open_new,
         last_ns: int = 0,
+        synced: Callable[[float], None] = lambda _seconds: None,
     ) -> None:
         self._directory = directory
         self._metadata = metadata
@@ -74,6 +77,7 @@ class LogWriter:
         self._max_file_bytes = max_file_bytes
         self._max_file_age = max_file_age
         self._open_file = open_file
+        self._on_sync = synced
         self._wake = threading.Condition()
         self._queue: deque[Item] = deque()
         self._held = 0  # bytes queued or not yet on the disk
@@ -110,6 +114,11 @@ class LogWriter:
     def size(self) -> int:
         """Bytes of that file that are on the disk."""
         return self._length
+
+    @property
+    def held(self) -> int:
+        """Bytes queued, or written and not yet on the disk."""
+        return self._held
 
     @property
     def durable_sequence(self) -> int:
@@ -197,6 +206,7 @@ class LogWriter:
                 self._sync()
                 self._file.close()
                 self._open_next(item.digest)
+                note(log, logging.INFO, "rotated", f"the log goes on in {self.path}", file=str(self.path))
                 self._todo.popleft()
                 self._release([item])
                 continue
@@ -213,8 +223,10 @@ class LogWriter:
             self._last_flush = now
 
     def _sync(self) -> None:
+        begun = time.monotonic()
         self._length = self._file.sync()
         self._last_flush = self._last_sync = time.monotonic()
+        self._on_sync(self._last_sync - begun)
         self._synced = self._mark
         done, self._unsynced = self._unsynced, []
         self._release(done)
@@ -235,7 +247,8 @@ class LogWriter:
         """Leave the failed file as it was last synced, and write what came since to a new one; False at the end."""
         self.ok = False
         self._fail(error)
-        log.error("the log can't be written (%s); no cloud is decided until it can", self.error)
+        text = f"the log can't be written ({self.error}); no cloud is decided until it can"
+        note(log, logging.ERROR, "degraded", text, always=True, cause=self.error)
         while True:
             with self._wake:
                 last = self._wake.wait_for(lambda: self._stop, RETRY_SECONDS)
@@ -262,7 +275,8 @@ class LogWriter:
             with self._wake:
                 self.ok, self.error = True, ""
                 self._wake.notify_all()
-            log.warning("the log can be written again: %s", self._file.path)
+            text = f"the log can be written again: {self._file.path}"
+            note(log, logging.WARNING, "recovered", text, always=True, file=str(self._file.path))
             return True
 
     def _leave(self) -> None:

@@ -32,16 +32,14 @@ from .ingest import Duplicates
 from .intake import InputMessage, Intake
 from .log_file import Kind, LogRecord
 from .log_writer import LogWriter, Rotate, Sync
-from .settings import NS
+from .logs import note
+from .settings import MAX_ROBOTS, NS
 from .view import View
 
 log = logging.getLogger(__name__)
 
 IDLE_SECONDS = 0.5
 """The longest the sequencer sleeps: deadlines come earlier by themselves, this bounds what else may be due."""
-
-MAX_ROBOTS = 256
-"""Robots that one map hears, if the configuration names none: their names come from outside and cost a buffer each."""
 
 
 class ShuttingDown(Exception):
@@ -97,6 +95,8 @@ class Sequencer:
         self._next_checkpoint = time.monotonic() + intervals.checkpoint
         self._next_snapshot = time.monotonic() + intervals.snapshot
         self._stopping = threading.Event()
+        self.turned = time.monotonic()
+        """When it last began a turn: whoever asks whether it still works looks at this."""
         self.failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="sequencer", daemon=True)
 
@@ -180,6 +180,7 @@ class Sequencer:
 
     def _turn(self, timeout: float) -> bool:
         """One turn; True if it found something to do."""
+        self.turned = time.monotonic()
         messages, commands = self._intake.take(timeout)
         for message in messages:
             self._accept(message)
@@ -226,7 +227,9 @@ class Sequencer:
             return
         if isinstance(content, Odometry):
             self._make_way(message.robot, content.stamp_ns)
-        self._robots.add(message.robot)
+        if message.robot not in self._robots:
+            self._robots.add(message.robot)
+            note(log, logging.INFO, "robot", f"robot {message.robot} is heard for the first time", robot=message.robot)
         number = self.state.input = self.state.input + 1
         self.state.record += 1
         topic = self._keys.form(message.kind).make(robot=message.robot)
@@ -289,7 +292,8 @@ class Sequencer:
             reason, was_reset = self.state.take_odometry(number, message.robot, content)
             self._counters.pose(reason)
             if was_reset:
-                log.warning("robot %s: its clock was reset; its poses begin anew", message.robot)
+                text = f"robot {message.robot}: its clock was reset; its poses begin anew"
+                note(log, logging.WARNING, "clock_reset", text, robot=message.robot)
                 self.inbox.clock_reset(message.robot)
         elif isinstance(content, Transform):
             self._take_transform(number, message.robot, content)
@@ -300,6 +304,8 @@ class Sequencer:
             self._counters.pose(PoseReason.POSE_FRAME)
         elif self.state.poses[robot].jumps > before:
             self._counters.jump(robot)
+            text = f"robot {robot}: its transform to {transform.parent_frame_id} jumped; ground mapped before stays"
+            note(log, logging.WARNING, "jump", text, robot=robot, child_frame_id=transform.child_frame_id)
 
     def _acknowledge(self, message: InputMessage, number: int, *, duplicate: bool) -> None:
         if message.reply is None:
@@ -319,13 +325,16 @@ class Sequencer:
             return False
         proposal = _proposal(decision, self.state)
         with self.view.change():
+            begun = time.monotonic()
             done = self._place(proposal)
+            took = time.monotonic() - begun
             self._log_event(done)
         assert isinstance(done, IntegrationEvent)  # noqa: S101 - what an integration becomes
         arrival = self._arrived.pop(done.input, None)
         if done.accepted:
             self.newest_stamp_ns = max(self.newest_stamp_ns, decision.cloud.last_ns)
-        self._counters.cloud(str(done.outcome), done.accepted, {str(k): n for k, n in done.rejected.items()}, arrival)
+        rejected = {str(reason): n for reason, n in done.rejected.items()}
+        self._counters.cloud(str(done.outcome), done.accepted, rejected, arrival, took)
         self._publish_event(encode_event(done))
         return True
 

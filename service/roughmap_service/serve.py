@@ -32,10 +32,13 @@ from .counters import Counters
 from .disk import make_directory
 from .emptied import Emptied
 from .ending import Ending
+from .http_server import HttpServer
 from .ingest import Replies
 from .intake import Intake, ZenohInputs
 from .log_file import Kind, LogRecord
 from .log_writer import LogWriter
+from .logs import note
+from .readiness import Readiness, Sources, running_problems
 from .recovery import Progress as RecoveryProgress
 from .recovery import Recovered, Stopped, begin_anew, recover
 from .sequencer import Intervals, Sequencer
@@ -87,6 +90,9 @@ def serve(
     check_exposure(session_config, loaded, insecure=insecure)
     with ExitStack() as stack:
         stack.enter_context(_locked(directory, store))
+        sources = Sources(Readiness())
+        if config.http.listen is not None:
+            sources.url = stack.enter_context(HttpServer(config.http, sources, insecure=insecure)).url
         session = stack.enter_context(open_session(session_config))
         instance = uuid.uuid4().hex
         token, others = claim(session, keys, instance, config.service.alive_wait, stop)
@@ -98,9 +104,12 @@ def serve(
         except Stopped:
             log.info("ended before it was ready")
             return
+        sequence, epoch = recovered.state.map.sequence, recovered.epoch
+        text = f"the map is back at sequence {sequence}, epoch {epoch}; {len(recovered.undecided)} clouds are undecided"
+        note(log, logging.INFO, "map_recovered", text, sequence=sequence, epoch=epoch, run=recovered.run)
         warm_up(config, stop)
         if not stop.is_set():
-            _run(loaded, keys, session, instance, directory, store, recovered, stop, announce)
+            _run(loaded, keys, session, instance, directory, store, recovered, stop, announce, sources)
 
 
 def _run(
@@ -113,6 +122,7 @@ def _run(
     recovered: Recovered,
     stop: threading.Event,
     announce: Callable[[dict[str, Any]], None],
+    sources: Sources,
 ) -> None:
     """Start the parts in the order in which they need each other, and end them the other way round."""
     config = loaded.config
@@ -124,7 +134,7 @@ def _run(
     with ExitStack() as stack:
         replies = Replies()
         stack.callback(lambda: replies.close(ending.left()))
-        writer = _writer(config, directory, _metadata(config, run, recovered), recovered.last_ns)
+        writer = _writer(config, directory, _metadata(config, run, recovered), recovered.last_ns, counters)
 
         @stack.callback
         def close_log() -> None:
@@ -170,7 +180,7 @@ def _run(
         record = _Outputs(writer, keys, counters, queries=config.log.queries)
         sequencer.start(recovered.undecided)
         stack.callback(_end, sequencer, view, snapshots, cut, ending)
-        stack.enter_context(
+        answers = stack.enter_context(
             Answers(
                 session, view, keys, config, identity, status=status,
                 control={"snapshot": control.snapshot, "reset": control.reset}, record_query=record.query,
@@ -181,10 +191,44 @@ def _run(
         stack.enter_context(StatusPublisher(session, keys, status))
         stack.callback(intake.close)  # after the subscribers are gone; refuses what still comes
         stack.enter_context(ZenohInputs(session, keys, intake, replies, config.input.max_message, counters))
+
+        if sources.url is not None:
+            from .metrics import Depths, Disk, Metrics  # noqa: PLC0415 - needed with the pages only
+
+            def depths() -> Depths:
+                return Depths(
+                    intake_bytes=intake.held, inbox_bytes=sequencer.inbox.size, log_bytes=writer.held,
+                    queries_waiting=answers.waiting, snapshot_sequence=snapshots.sequence,
+                    snapshot_ok=not snapshots.error,
+                )  # fmt: skip
+
+            disk = Disk(directory, None if store is None else store.path)
+            sources.status = status
+            sources.metrics = Metrics(
+                status, counters, depths, sources.readiness.problems, disk, config.map.memory_limit
+            ).text
+        sources.readiness.become(
+            lambda: running_problems(
+                alive=sequencer.alive, turned=sequencer.turned, failure=sequencer.failure, log_ok=writer.ok,
+                log_error=writer.error, overloaded=counters.overloaded,
+            )
+        )  # fmt: skip
+
+        def shut_down() -> None:
+            sources.readiness.end()
+            counts = counters.snapshot()
+            clouds, points = counts.clouds_accepted, counts.points_accepted
+            text = f"shutting down; {clouds} clouds with {points} points were integrated since the start"
+            note(
+                log, logging.INFO, "shutdown", text, clouds=clouds, points=points, poses=counts.poses_accepted,
+                clouds_rejected=counts.clouds_rejected, refused=counts.refused, sequence=view.map.sequence,
+            )  # fmt: skip
+
+        stack.callback(shut_down)
         announce(
             {
                 "ready": True, "map": config.map.name, "instance": instance, "endpoints": endpoints(session),
-                "http": None,
+                "http": sources.url,
             }
         )  # fmt: skip
         stack.callback(ending.begin)  # first of all, however it comes to its end
@@ -239,7 +283,7 @@ def _metadata(config: Config, run: str, recovered: Recovered) -> RunMetadata:
     )
 
 
-def _writer(config: Config, directory: Path, metadata: RunMetadata, last_ns: int) -> LogWriter:
+def _writer(config: Config, directory: Path, metadata: RunMetadata, last_ns: int, counters: Counters) -> LogWriter:
     return LogWriter(
         directory,
         metadata,
@@ -249,6 +293,7 @@ def _writer(config: Config, directory: Path, metadata: RunMetadata, last_ns: int
         max_file_bytes=config.log.max_file_bytes,
         max_file_age=config.log.max_file_age,
         last_ns=last_ns,
+        synced=counters.log_synced,
     )
 
 
@@ -313,6 +358,7 @@ class _Outputs:
 
     def query(self, record: QueryRecord) -> None:
         """One answered query."""
+        self._counters.query(record.outcome, record.duration_ns / 1e9)
         if self._queries:
             self._put(Kind.QUERIES, self._keys.queries, model_bytes(record), time.time_ns())
 
@@ -322,4 +368,4 @@ class _Outputs:
 
     def _put(self, kind: Kind, topic: str, payload: bytes, stamp_ns: int) -> None:
         if not self._writer.put_output(LogRecord(kind, topic, payload, time.time_ns(), stamp_ns)):
-            self._counters.output_dropped()
+            self._counters.output_dropped("queries" if kind is Kind.QUERIES else "updates")

@@ -10,6 +10,9 @@ from roughmap_schemas import Config, SensorConfig
 
 NS = 1_000_000_000
 
+MAX_ROBOTS = 256
+"""Robots that one map hears, if the configuration names none: their names come from outside and cost a buffer each."""
+
 LARGEST_SIGMA = 1e100
 """Sigmas beyond it, which say no more, count as this one, whose square is still a number."""
 

@@ -12,6 +12,7 @@ from .inbox import Inbox
 from .ingest import Duplicates
 from .log_keep import delete_oldest
 from .log_writer import LogWriter
+from .logs import note
 from .store import Cut, Store
 from .view import View
 
@@ -91,10 +92,12 @@ class Snapshots:
             after = self.sequence if self._epoch_of_tiles == cut.epoch else None
             self._store.write(cut, frozen, after)
             self._epoch_of_tiles, self.sequence, self.error = cut.epoch, cut.sequence, ""
+            text = f"the map is stored through sequence {cut.sequence}"
+            note(log, logging.INFO, "snapshot", text, sequence=cut.sequence, epoch=cut.epoch)
             self._delete_log(cut)
         except (sqlite3.Error, OSError) as error:
             self.error = f"{self._store.path}: {error}"
-            log.error("no snapshot: %s", self.error)
+            note(log, logging.ERROR, "snapshot_failed", f"no snapshot: {self.error}", cause=self.error)
         finally:
             with self._view.reading():
                 frozen.close()

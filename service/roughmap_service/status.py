@@ -29,6 +29,7 @@ from roughmap_schemas.messages import (
 )
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
 from roughmap_service.counters import Counters
+from roughmap_service.logs import note
 from roughmap_service.tile_reply import Identity
 from roughmap_service.view import View
 
@@ -163,12 +164,15 @@ class StatusPublisher:
 
     def _run(self) -> None:
         encoding = json_encoding("MapStatus")
+        overload = Overload()
         while not self._closing.is_set():
             try:
+                status = self._status()
+                overload.watch(status)
                 # DROP: the next status makes up for a lost one, and a reader that stalls must not hold it up.
                 self._session.put(
                     self._key,
-                    model_bytes(self._status()),
+                    model_bytes(status),
                     encoding=encoding,
                     congestion_control=zenoh.CongestionControl.DROP,
                 )
@@ -177,3 +181,25 @@ class StatusPublisher:
                     return
                 LOG.exception("the status could not be published")
             self._closing.wait(PERIOD_S)
+
+
+class Overload:
+    """Tells in the log lines when an overload begins and when it ends, and what it cost."""
+
+    def __init__(self) -> None:
+        self._begun = False
+        self._before = 0  # dropped before the present overload
+
+    def watch(self, status: MapStatus) -> None:
+        """The next status, in the order of time."""
+        dropped = status.clouds.rejected.get(CloudReason.OVERLOAD, 0) + status.refused.get(Refusal.BUSY, 0)
+        if status.health == "overloaded" and not self._begun:
+            self._begun = True
+            text = "overloaded: more comes in than can be integrated; the oldest clouds are dropped and counted"
+            note(LOG, logging.WARNING, "overload_begun", text, always=True, waiting=status.clouds.waiting)
+        elif status.health == "ok":
+            if self._begun:
+                lost = dropped - self._before
+                text = f"no longer overloaded; {lost} messages were dropped or turned away meanwhile"
+                note(LOG, logging.INFO, "overload_ended", text, always=True, dropped=lost)
+            self._begun, self._before = False, dropped

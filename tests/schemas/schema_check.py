@@ -5,7 +5,7 @@ import math
 import re
 from typing import Any
 
-NOTES = {"$schema", "$defs", "title", "description", "default", "discriminator"}
+NOTES = {"$schema", "$defs", "title", "description", "default", "discriminator", "format", "writeOnly"}
 TYPES: dict[str, tuple[type, ...]] = {
     "object": (dict,),
     "array": (list,),

@@ -80,7 +80,8 @@ FREE = {
     "query": {"max_running_cells", "queue_limit", "cache_limit"},
     "log": {"max_file_bytes", "max_file_age", "queue_limit"},
     "store": {"snapshot_interval"},
-    "service": {"threads"},
+    "http": {"token", "token_file"},
+    "service": {"threads", "log_format", "log_level"},
 }
 """Settings whose defaults, or which themselves, the contract leaves open."""
 

@@ -115,6 +115,7 @@ _LATE = (
     ("roughmap_service.recovery", "IdentityError", 2),
     ("roughmap_service.replay", "ReplayError", 2),
     ("roughmap_service.transport", "TransportError", 1),
+    ("roughmap_service.http_server", "HttpError", 2),
     ("roughmap_service.serve", "ServiceFailed", 1),
     ("roughmap_service.serve", "ServeError", 2),
 )

@@ -6,6 +6,8 @@ import os
 import signal
 import sys
 import threading
+import time
+from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -13,6 +15,8 @@ from typing import Any
 import click
 
 from .options import config_options, load
+
+log = logging.getLogger(__name__)
 
 
 @click.command()
@@ -28,18 +32,26 @@ def serve(
     Keep one map: take scans and poses from Zenoh, log them, answer planners' queries. Prints one JSON line on stdout
     when it is ready; everything else goes to stderr. SIGTERM or Ctrl-C ends it in order, a second one at once.
     """
+    from roughmap_service.logs import note, set_up
+
+    loaded = load(config_path, settings)
+    service = loaded.config.service
+    set_up(service.log_format, "debug" if verbose else service.log_level, sys.stderr)
+    begun = time.monotonic()
+    source, release = str(loaded.path or "no file"), version("roughmap")
+    text = f"roughmap {release} starts; map {loaded.config.map.name!r}, configuration: {source}"
+    note(log, logging.INFO, "start", text, map=loaded.config.map.name, version=release, configuration=source)
+
     from roughmap_service.serve import serve as run
 
-    logging.basicConfig(
-        level=logging.DEBUG if verbose else logging.INFO,
-        format="%(asctime)s %(levelname)s %(message)s",
-        stream=sys.stderr,
-    )
     stop = threading.Event()
+    reason = ""
 
-    def end(_number: int, _frame: FrameType | None) -> None:
+    def end(number: int, _frame: FrameType | None) -> None:
+        nonlocal reason
         if stop.is_set():
             os._exit(1)
+        reason = signal.Signals(number).name
         stop.set()
 
     signal.signal(signal.SIGTERM, end)
@@ -47,8 +59,13 @@ def serve(
 
     def announce(ready: dict[str, Any]) -> None:
         print(json.dumps(ready), flush=True)  # noqa: T201 - the one line that stdout is for
+        where = ", ".join(ready["endpoints"]) or "nowhere"
+        text = f"ready after {time.monotonic() - begun:.2f} s; listens on {where}; http: {ready['http'] or 'none'}"
+        note(log, logging.INFO, "ready", text, endpoints=ready["endpoints"], http=ready["http"])
 
     def progress(done: int, files: int) -> None:
-        click.echo(f"folding the log: file {done + 1} of {files}", err=True)
+        log.info("folding the log: file %d of %d", done + 1, files)
 
-    run(load(config_path, settings), stop, announce, fresh=fresh, insecure=insecure, progress=progress)
+    run(loaded, stop, announce, fresh=fresh, insecure=insecure, progress=progress)
+    text = f"ended in order on {reason}, after {time.monotonic() - begun:.0f} s"
+    note(log, logging.INFO, "end", text, signal=reason)

@@ -1,0 +1,140 @@
+"""Log lines: for programs and for people, and repeats counted."""
+
+import io
+import json
+import logging
+from collections.abc import Iterator
+
+import pytest
+
+from roughmap_schemas.messages import MapStatus
+from roughmap_service.logs import MAX_KINDS, REPEAT_SECONDS, JsonFormatter, Lines, TextFormatter, note, set_up
+from roughmap_service.status import Overload
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def logger() -> Iterator[logging.Logger]:
+    made = logging.Logger("under test")
+    yield made
+    for handler in list(made.handlers):
+        handler.close()
+
+
+def lines_to(logger: logging.Logger, formatter: logging.Formatter) -> tuple[io.StringIO, Clock]:
+    stream, clock = io.StringIO(), Clock()
+    handler = Lines(stream, clock)
+    handler.setFormatter(formatter)
+    logger.addHandler(handler)
+    return stream, clock
+
+
+def test_a_json_line_has_the_event_and_its_values(logger: logging.Logger) -> None:
+    stream, _ = lines_to(logger, JsonFormatter())
+    note(logger, logging.INFO, "rotated", "the log\ngoes on", file="b.mcap", message="not this one")
+    try:
+        raise OSError("no room")
+    except OSError:
+        logger.exception("failed with %d", 7)
+    first, second = (json.loads(line) for line in stream.getvalue().splitlines())
+    assert first.pop("time").endswith("+00:00")
+    assert first == {"level": "info", "event": "rotated", "message": "the log\ngoes on", "file": "b.mcap"}
+    assert (second["level"], second["message"]) == ("error", "failed with 7")
+    assert "OSError: no room" in second["error"]
+
+
+def test_a_text_line_is_for_reading(logger: logging.Logger) -> None:
+    stream, _ = lines_to(logger, TextFormatter())
+    note(logger, logging.WARNING, "gap", "robot r1: 3 are missing", robot="r1")
+    assert stream.getvalue().split(maxsplit=1)[1] == "WARNING robot r1: 3 are missing\n"
+
+
+def test_repeats_are_counted_and_told_with_the_next_line(logger: logging.Logger) -> None:
+    stream, clock = lines_to(logger, TextFormatter())
+    for number in range(100):
+        note(logger, logging.WARNING, "gap", f"gap {number}", robot="r1")
+    note(logger, logging.WARNING, "gap", "another robot's", robot="r2")
+    logger.warning("another kind")
+    clock.now = REPEAT_SECONDS
+    note(logger, logging.WARNING, "gap", "gap 100", robot="r1")
+    told = [line.split(" WARNING ")[1] for line in stream.getvalue().splitlines()]
+    assert told == ["gap 0", "another robot's", "another kind", "gap 100 (and 99 more like it before)"]
+
+
+def test_what_was_counted_last_is_told_at_the_end(logger: logging.Logger) -> None:
+    stream, _ = lines_to(logger, JsonFormatter())
+    for number in range(3):
+        logger.error("fault %d", number)
+    logger.handlers[0].close()
+    assert [json.loads(line)["message"] for line in stream.getvalue().splitlines()] == ["fault 0", "fault 2"]
+    assert json.loads(stream.getvalue().splitlines()[1])["repeats"] == 1
+
+
+def test_a_state_that_is_entered_or_left_is_always_told(logger: logging.Logger) -> None:
+    stream, _ = lines_to(logger, TextFormatter())
+    for _ in range(3):
+        note(logger, logging.WARNING, "degraded", "down", always=True)
+        note(logger, logging.WARNING, "recovered", "up", always=True)
+    assert len(stream.getvalue().splitlines()) == 6
+
+
+def test_kinds_that_are_remembered_are_bounded(logger: logging.Logger) -> None:
+    lines_to(logger, TextFormatter())
+    for number in range(MAX_KINDS + 10):
+        note(logger, logging.INFO, "robot", "first", robot=f"r{number}")
+    handler = logger.handlers[0]
+    assert isinstance(handler, Lines)
+    assert len(handler._told) == MAX_KINDS
+
+
+def test_the_form_follows_the_terminal_and_the_setting(monkeypatch: pytest.MonkeyPatch) -> None:
+    root = logging.RootLogger(logging.WARNING)
+    monkeypatch.setattr(logging, "root", root)
+
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    for log_format, stream, as_json in (
+        ("auto", io.StringIO(), True), ("auto", Terminal(), False), ("json", Terminal(), True),
+        ("text", io.StringIO(), False),
+    ):  # fmt: skip
+        set_up(log_format, "warning", stream)  # type: ignore[arg-type]
+        root.info("not this")
+        root.warning("this")
+        assert stream.getvalue().startswith("{") == as_json
+        assert len(stream.getvalue().splitlines()) == 1
+
+
+def test_an_overload_is_told_when_it_begins_and_ends(caplog: pytest.LogCaptureFixture, status: MapStatus) -> None:
+    overload = Overload()
+    with caplog.at_level(logging.INFO):
+        for health, dropped in (
+            ("ok", 5),
+            ("overloaded", 8),
+            ("overloaded", 20),
+            ("degraded", 25),
+            ("ok", 30),
+            ("ok", 30),
+        ):
+            clouds = status.clouds.model_copy(update={"rejected": {"overload": dropped}})
+            overload.watch(status.model_copy(update={"health": health, "clouds": clouds}))
+    assert [record.event for record in caplog.records] == ["overload_begun", "overload_ended"]  # type: ignore[attr-defined]
+    assert caplog.records[1].fields == {"dropped": 25}  # type: ignore[attr-defined]
+
+
+@pytest.fixture
+def status() -> MapStatus:
+    return MapStatus(
+        map="site", run="0" * 32, instance="1" * 32, epoch=1, version="1", frame_id="map", cell_size=0.1, levels=8,
+        layers=[], bounds=None, extent=None, error_model="cuboid", configuration_digest="2" * 32, health="ok",
+        sequence=0, durable_sequence=0, input=0, newest_stamp_ns=0, clouds={}, points={}, poses={}, refused={}, gaps={},
+        jumps={}, lag_s={}, rates={}, memory_bytes=0, tiles={}, log={}, uptime_s=1.0,
+    )  # fmt: skip
