@@ -15,13 +15,21 @@ from pathlib import Path
 
 import core_rows
 import held_rows
+import latency_rows
 import pictures
+import query_rows
+import service_rows
+import start_rows
 import table
 from figures import Bench, Row
 
 GROUPS: dict[str, Callable[[Bench], list[Row]]] = {
     "core": core_rows.rows,
     "held": held_rows.rows,
+    "service": service_rows.rows,
+    "latency": latency_rows.rows,
+    "queries": query_rows.rows,
+    "start": start_rows.rows,
 }
 
 

@@ -1,0 +1,118 @@
+"""Rows of queries: a tile and regions against a bare echo of the same bytes; derived layers."""
+
+import shutil
+import time
+from itertools import product
+
+import numpy as np
+from asker import timed_get
+from asking import Asker, Latencies, echoing
+from figures import Bench, Mark, Row, latency_row, rounds_row
+from scans import CELL_SIZE, SCANS, recorded
+from serving import MAP, Sender, drive, fill, open_session, served
+
+from roughmap.terrain import derive
+
+LAYERS = "layers=mean_height,range"
+SITES = [(x, y) for x, y in product((-52.0, -26.0, 0.0, 26.0, 52.0), repeat=2)]
+"""Beyond 20 m rings lie far apart: from these every tile of the 400 is seen."""
+
+REGION = f"maps/{MAP}/region?bbox=-64,-64,64,64;{LAYERS}"
+TILES = f"maps/{MAP}/tiles/0/*/*?bbox=-64,-64,64,64;{LAYERS}"
+NEAR = list(product(range(-2, 2), repeat=2))
+"""Tiles asked for one by one: the drive passes over them all the time."""
+
+TILE_HZ = 40.0
+"""Of the service and of the echo together."""
+
+START_S = 3.0
+ROUNDS = 12
+
+
+def rows(bench: Bench) -> list[Row]:
+    """All figures of queries but the planner's, which is measured with the latency of scans."""
+    folder = bench.folder / "queries"
+    shutil.rmtree(folder, ignore_errors=True)
+    sender = Sender(recorded(bench.folder, 3 if bench.quick else SCANS), own_times=True)
+    seconds = 1 if bench.quick else 25
+    with served(folder) as service, open_session(service.endpoints) as session, echoing() as echo:
+        fill(bench, session, recorded(bench.folder, 3 if bench.quick else SCANS), SITES)
+        drive(session, sender, 0, 5, pose_hz=50.0, phase=0.0)
+        turns = []
+        for x, y in NEAR:
+            selector = f"maps/{MAP}/tiles/0/{x}/{y}?{LAYERS}"
+            _, size, _ = timed_get(session, selector)
+            turns += [("service", selector), ("echo", f"echo?size={size};replies=1")]
+
+        def asked() -> Asker:
+            return Asker(service.endpoints, TILE_HZ, seconds + START_S, START_S, echo=echo, turns=turns)
+
+        bench.say(f"queries: a tile and its echo in turn, idle, {seconds} s")
+        found = _tile("idle", asked().latencies(), 1.5)
+        bench.say(f"queries: the same while scans come in at 10 Hz, {seconds} s")
+        asker = asked()
+        drive(session, sender, 5, round((seconds + START_S) * 10), pose_hz=50.0, phase=0.0)
+        found += _tile("loaded", asker.latencies(), 3.0)
+        with open_session(echo) as beside:
+            found += _region(bench, session, beside)
+    shutil.rmtree(folder)
+    return [*found, _derive(bench)]
+
+
+def _tile(state: str, taken: Latencies, most: float) -> list[Row]:
+    when = "idle" if state == "idle" else "while 10 Hz come in"
+    return [
+        latency_row(
+            f"tile.{state}.p{p}", f"tile query, 2 layers, {when}, p{p}", taken["service"], p,
+            mark=Mark(most, "ratio"), reference="echo of the same bytes", beside=taken["echo"],
+        )
+        for p in (50, 99)
+    ]  # fmt: skip
+
+
+def _region(bench: Bench, session: object, echo: object) -> list[Row]:
+    """400 tiles as one grid, and as 400 replies, each beside the echo in the same form."""
+    kinds = {"region": ("one region", REGION), "tiles": ("as 400 tile replies", TILES)}
+    taken: dict[str, list[float]] = {name: [] for kind in kinds for name in (kind, f"{kind} echo")}
+    for turn in range(bench.rounds(ROUNDS) + 1):
+        bench.say(f"queries: 400 tiles, round {turn} of {bench.rounds(ROUNDS)}")
+        for kind, (_, selector) in kinds.items():
+            seconds, size, replies = timed_get(session, selector)
+            expected = 1 if kind == "region" else 400
+            if replies != expected:
+                raise RuntimeError(f"{selector}: {replies} replies, not {expected}")
+            again, echoed, _ = timed_get(echo, f"echo?size={size // replies};replies={replies}")
+            if turn:
+                taken[kind].append(size / seconds / 1e6)
+                taken[f"{kind} echo"].append(echoed / again / 1e6)
+    return [
+        rounds_row(
+            f"region.{kind}", f"400 tiles, 2 layers, {name}", "MB/s", taken[kind],
+            mark=Mark(0.7, "ratio", least=True) if kind == "region" else None,
+            reference="echo of the same bytes", beside=taken[f"{kind} echo"],
+        )
+        for kind, (name, _) in kinds.items()
+    ]  # fmt: skip
+
+
+def _derive(bench: Bench) -> Row:
+    """Slope, step and traversability of one tile with its halo, from planes; numpy's gradient of the tile beside."""
+    rng = np.random.default_rng(1)
+    mean = np.cumsum(rng.normal(0.0, 0.01, (66, 66)), axis=0)
+    spread, extent, confidence = (rng.uniform(0.0, 0.1, (64, 64)) for _ in range(3))
+    runs = {
+        "derive": lambda: derive(mean, CELL_SIZE, (0.5, 0.2, 0.1, 1.0, 0.9), spread, extent, confidence),
+        "numpy": lambda: np.gradient(mean, CELL_SIZE),
+    }
+    taken: dict[str, list[float]] = {name: [] for name in runs}
+    for turn in range(bench.rounds(20) + 1):
+        for name, run in runs.items():
+            begun = time.perf_counter()
+            for _ in range(100):
+                run()
+            if turn:
+                taken[name].append((time.perf_counter() - begun) / 100 * 1e6)
+    return rounds_row(
+        "derive", "derive: slope, step, traversability of a tile with its halo", "us", taken["derive"],
+        mark=Mark(150.0), reference="numpy.gradient alone", beside=taken["numpy"],
+    )  # fmt: skip
