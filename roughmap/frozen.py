@@ -50,8 +50,9 @@ class Frozen:
 
     The map makes it, under the caller's lock, and the caller closes it under the same lock (or leaves the ``with``
     block there). All else may be asked without a lock, by several threads at once, while the map goes on: a tile that
-    is read here is copied before it is changed. Arrays of records are read-only and valid until ``close``. ValueError
-    for a level that the map does not keep.
+    is read here is copied before it is changed, and one that is not in memory is read from where it lies (then what
+    its shelf raises may come from here). Arrays of records are read-only and valid until ``close``. ValueError for a
+    level that the map does not keep.
 
     Attributes:
         level: the level, 0 for the map's own cells.
@@ -70,6 +71,7 @@ class Frozen:
         *,
         level: int,
         box: TileBox | None,
+        after: int,
         cell_size: float,
         sequence: int,
         newest_updated: int,
@@ -91,7 +93,11 @@ class Frozen:
 
         base = table.levels[0]
         entries = table.select(_ring(box, level, 0))
+        if after >= 0:
+            entries = entries[base.sequence[entries] > after]
         slots = table.slot[entries]
+        if level == 0 and box is not None:  # what is asked for will be asked again; one step behind what is written
+            table.used[entries] = np.maximum(table.used[entries], sequence - 1)
         self._oldest_ns = table.oldest_ns[entries]
         self._newest_ns = table.newest_ns[entries]
         self._index = [_Index(base.tx[entries], base.ty[entries], base.sequence[entries])]
@@ -239,7 +245,12 @@ class Frozen:
         if z == 0:
             if self._slots is None:
                 raise ValueError("this reading of the map is closed")
-            return self._table.records(int(self._slots[place])).reshape(TILE_CELLS, TILE_CELLS)
+            slot, table = int(self._slots[place]), self._table
+            if slot >= 0:
+                return table.records(slot).reshape(TILE_CELLS, TILE_CELLS)
+            return self._cache.get(
+                self._state(z, x, y, place), lambda: table.records(slot).reshape(TILE_CELLS, TILE_CELLS)
+            )
 
         def make() -> Records:
             return levels.merge([self._records(z - 1, cx, cy) for cx, cy in _children(x, y)])

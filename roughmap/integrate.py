@@ -88,7 +88,7 @@ def integrate(
     """Take up the bounded points in ``planes`` (with ``stamps``, one or one a point) as ``sequence``.
 
     Returns the changed tiles (T, 2), ascending, and the newest stamp in them (0 if none). `TooManyTiles` and
-    MemoryError come before anything is changed.
+    MemoryError come before anything is changed; so does what goes wrong when tiles are brought back from the shelf.
     """
     number = _collect(planes, settings, space)
     keys, work = space.tiles.keys[:number], space.tiles.work[:number]
@@ -105,8 +105,9 @@ def integrate(
     tx = (keys >> np.uint64(32)).astype(np.uint32).view(np.int32)
     ty = keys.astype(np.uint32).view(np.int32)
     bits = np.zeros((number, TILE_CELLS), np.uint64)
-    table.unshare(entries[entries >= 0])
+    table.open(entries[entries >= 0])
     entries[new] = table.insert(tx[new], ty[new])
+    table.used[entries] = sequence
 
     oldest, newest = table.oldest_ns[entries], table.newest_ns[entries]
     oldest[new], newest[new] = _NEVER_NS.max, _NEVER_NS.min

@@ -8,18 +8,20 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from roughmap import blocks
+from roughmap import blocks, loading
 from roughmap.arrays import F8, I4, I8, U1, Records
-from roughmap.cell import CELL_DTYPE, OFFSET_LIMIT_NS, REASON_NAMES, STAMP_LIMIT_NS, TILE_CELLS, PointReason
+from roughmap.cell import OFFSET_LIMIT_NS, REASON_NAMES, STAMP_LIMIT_NS, TILE_CELLS, PointReason
 from roughmap.digest import map_digest, tile_digest
+from roughmap.eviction import Eviction
 from roughmap.footprint import POINT
-from roughmap.frozen import TILE_LIMIT, Frozen, TileBox
+from roughmap.frozen import Frozen, TileBox
 from roughmap.integrate import AddReport, integrate
 from roughmap.merge_cache import MergeCache
 from roughmap.place import BLOCK, pose_at, split
 from roughmap.region import Region, cell_box, read_region, tile_box
 from roughmap.scan import Limits, Noise, Scan, checked_integers, checked_points, checked_stamp, point_rules
 from roughmap.settings import Settings
+from roughmap.shelf import Shelf
 from roughmap.tiles import TileTable
 from roughmap.trajectory import Trajectory
 from roughmap.workspace import Planes, ThreadScratch, Workspace, blocks_of
@@ -34,7 +36,8 @@ class RoughMap:
     spans; ``min_radius`` metres, its least half extent; ``min_distance`` metres, the least distance in eq. 16;
     ``min_share``: a cell takes part if its share is at least this part of the point's largest;
     ``max_horizontal_radius`` metres, beyond which a point is too uncertain; ``bounds`` (xmin, ymin, xmax, ymax) metres,
-    half-open; ``levels``, level 0 included; ``threads`` that share the work (None: numba's number).
+    half-open; ``levels``, level 0 included; ``threads`` that share the work (None: numba's number); ``shelf``: where
+    tiles go that `spill` takes out of memory.
 
     The same points, covariances and stamps in the same order give the same bytes of state, however they were cut into
     calls and however many threads worked on them. One thread at a time may call the methods; what `freeze` gives may
@@ -53,6 +56,8 @@ class RoughMap:
         bounds: Sequence[float] | None = None,
         levels: int = 8,
         threads: int | None = None,
+        *,
+        shelf: Shelf | None = None,
     ) -> None:
         self.settings = Settings(
             cell_size=cell_size,
@@ -73,7 +78,7 @@ class RoughMap:
         self.newest_updated = 0
         """The largest `updated` of any cell, in seconds; 0 if the map is empty."""
         self._space = Workspace(threads, self.settings.side)
-        self._table = TileTable(levels)
+        self._table = TileTable(levels, shelf or Shelf())
         self._cache = MergeCache()
 
     @property
@@ -90,6 +95,11 @@ class RoughMap:
     def tile_count(self) -> int:
         """Level-0 tiles with a known cell."""
         return self._table.size
+
+    @property
+    def resident_tiles(self) -> int:
+        """Those of them that are in memory; the others are on the shelf."""
+        return self._table.resident
 
     @property
     def memory_bytes(self) -> int:
@@ -257,7 +267,8 @@ class RoughMap:
 
     def reset(self) -> None:
         """Forget all cells; the sequence goes on. Readings that are open keep what they hold."""
-        self._table = TileTable(self.levels)
+        self._table.clear()
+        self._table = TileTable(self.levels, self._table.shelf)
         self._cache.generation += 1
         self.newest_updated = 0
         self.sequence += 1
@@ -276,30 +287,32 @@ class RoughMap:
         ``digest``: its XXH3-128 as 16 big-endian bytes if that is known. ValueError for a tile that is there already,
         has no known cell, or lies outside the map.
         """
-        if not (-TILE_LIMIT <= tx < TILE_LIMIT and -TILE_LIMIT <= ty < TILE_LIMIT):
-            raise ValueError(f"tile ({tx}, {ty}): expected numbers in [{-TILE_LIMIT}, {TILE_LIMIT})")
-        if records.shape != (TILE_CELLS * TILE_CELLS,) or records.dtype != CELL_DTYPE:
-            raise ValueError(f"tile ({tx}, {ty}): expected (4096,) records of CELL_DTYPE")
-        if digest is not None and len(digest) != 16:
-            raise ValueError(f"tile ({tx}, {ty}): expected a digest of 16 bytes, got {len(digest)}")
-        stamps = checked_stamp(oldest_ns, "oldest_ns"), checked_stamp(newest_ns, "newest_ns")
-        known = records["count"] != 0
-        if not known.any():
-            raise ValueError(f"tile ({tx}, {ty}): expected a known cell")
-        table = self._table
-        if table.levels[0].find(tx, ty) >= 0:
-            raise ValueError(f"tile ({tx}, {ty}): is in the map already")
-        one = np.array([tx], np.int32), np.array([ty], np.int32)
-        entry = int(table.insert(*one)[0])
-        table.pool.store(int(table.slot[entry]), records)
-        table.oldest_ns[entry], table.newest_ns[entry] = stamps
-        for z, level in enumerate(table.levels):
-            level.sequence[level.find(tx >> z, ty >> z)] = self.sequence
-        if digest is not None:
-            table.digest[entry] = np.frombuffer(digest, np.uint8)
-            table.digest_known[entry] = True
+        loading.load_tile(self._table, self.sequence, tx, ty, records, oldest_ns, newest_ns, digest)
         self._cache.generation += 1
         self.newest_updated = max(self.newest_updated, int(records["updated"].max()))
+
+    def load_shelved(self, tx: I4, ty: I4, oldest_ns: I8, newest_ns: I8, digests: U1, places: I4) -> None:
+        """Fill an empty map with (T,) different tiles that lie in allocated ``places`` of the shelf and stay there.
+
+        ``digests`` (T, 16): as `load_tile`'s. The tiles' sequence becomes the map's. ValueError, and nothing is
+        changed, for a map that is not empty, tiles outside it or twice, and stamps that are none. That each tile has a
+        known cell is taken for granted.
+        """
+        loading.load_shelved(self._table, self.sequence, tx, ty, oldest_ns, newest_ns, digests, places)
+        self._cache.generation += 1
+        # The newest stamp of a tile is that of a point which touched one of its cells.
+        self.newest_updated = int(newest_ns.max(initial=0)) // 1_000_000_000
+
+    def spill(self, number: int) -> Eviction:
+        """Begin to take about ``number`` tiles out of memory, those first that were not needed for the longest.
+
+        Under the same lock as the map's other methods; `Eviction.write` then needs none, its `close` does again.
+        """
+        return Eviction(self._table, number, self.sequence)
+
+    def limit_cache(self, limit: int) -> None:
+        """Keep at most so many bytes of merged and read tiles for readers, if that is less than now."""
+        self._cache.limit = min(self._cache.limit, limit)
 
     def tile_digests(self) -> tuple[I4, I4, U1]:
         """(tx, ty, digests (T, 16)) of the level-0 tiles with a known cell, ascending by (tx, ty)."""
@@ -315,8 +328,11 @@ class RoughMap:
         """XXH3-128, hex, over the digests of all tiles; of an empty map that of no bytes."""
         return map_digest(*self.tile_digests())
 
-    def freeze(self, level: int = 0, box: TileBox | None = None) -> Frozen:
+    def freeze(self, level: int = 0, box: TileBox | None = None, *, after: int = -1) -> Frozen:
         """The tiles of ``level`` in ``box`` (inclusive tile numbers; None: all) as they are now, to be read later.
+
+        ``after``: of level 0, only tiles whose sequence is larger; the others are not there then, not for their
+        neighbours either.
 
         A context manager, to be closed under the same lock as the map's methods. ValueError for an unknown level.
         """
@@ -326,6 +342,7 @@ class RoughMap:
             self._cache,
             level=level,
             box=box,
+            after=after,
             cell_size=self.cell_size,
             sequence=self.sequence,
             newest_updated=self.newest_updated,

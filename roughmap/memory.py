@@ -1,5 +1,6 @@
 """Where tiles live: slots of 4096 cells, in slabs of anonymous memory that kernels reach by address."""
 
+import contextlib
 import mmap
 from typing import Any
 
@@ -88,89 +89,129 @@ def _count_known(address: Scalar) -> int:
     return known
 
 
-class SlotPool:
-    """Slots of 256 KiB, handed out zeroed, counted by pins, given back to the system when freed.
+@kernel
+def _known_rows(address: Scalar) -> int:
+    """Which rows of a slot hold a known cell: bit j for row j."""
+    a = words(address)
+    row = TILE_CELLS * CELL_WORDS
+    rows = np.uint64(0)
+    for j in range(TILE_CELLS):
+        known = np.uint64(0)
+        for i in range(TILE_CELLS):
+            known |= a[j * row + i * CELL_WORDS]
+        if known != 0:
+            rows |= np.uint64(1) << np.uint64(j)
+    return rows  # type: ignore[return-value]
 
-    Slabs are private anonymous maps of zero pages: one row of 64 cells is one page, so that a tile of which only a
-    part is known costs only the rows that were written. A slab never moves and is never unmapped while a view of it
-    is alive. All methods but :meth:`records` and :meth:`known_cells` are the writer's, under its lock.
+
+class Places:
+    """Numbered places that are handed out, counted by pins, and free again when neither map nor reader needs them.
+
+    All methods are the writer's, under its lock. What a place is, and how more come to be, the subclasses say.
     """
 
     def __init__(self) -> None:
-        self._slabs: list[mmap.mmap] = []
-        self._free: list[int] = []
-        self.address = np.zeros(0, np.uint64)
         self.pins = np.zeros(0, np.int32)
         self.live = np.zeros(0, np.bool_)
+        self._free: list[int] = []
 
     @property
     def used(self) -> int:
-        """Slots that are not free."""
-        return len(self.address) - len(self._free)
+        """Places that are not free."""
+        return len(self.pins) - len(self._free)
+
+    def _extend(self, number: int) -> None:
+        """So many more free places, handed out in their order."""
+        first = len(self.pins)
+        self.pins = np.append(self.pins, np.zeros(number, np.int32))
+        self.live = np.append(self.live, np.zeros(number, np.bool_))
+        self._free.extend(range(first + number - 1, first - 1, -1))
+
+    def _grow(self) -> None:
+        """At least one more place; MemoryError if there can be none."""
+        raise NotImplementedError
+
+    def _vacated(self, place: int) -> None:
+        """Nobody needs what is in this place any more."""
+
+    def allocate(self, number: int) -> I4:
+        """``number`` places, live. All or none: MemoryError leaves them as they were, or more."""
+        while len(self._free) < number:
+            self._grow()
+        taken = self._free[len(self._free) - number :]
+        del self._free[len(self._free) - number :]
+        places = np.array(taken[::-1], np.int32)
+        self.live[places] = True
+        return places
+
+    def release(self, places: I4) -> None:
+        """The map no longer uses these places. Those that are pinned are freed by their last unpin."""
+        self.live[places] = False
+        self._free_dead(places)
+
+    def pin(self, places: I4) -> None:
+        """Keep what these (different) places hold unchanged until they are unpinned as often."""
+        self.pins[places] += 1
+
+    def unpin(self, places: I4) -> None:
+        """Undo one :meth:`pin`."""
+        self.pins[places] -= 1
+        self._free_dead(places)
+
+    def _free_dead(self, places: I4) -> None:
+        for place in places[(self.pins[places] == 0) & ~self.live[places]].tolist():
+            self._vacated(place)
+            self._free.append(place)
+
+
+class SlotPool(Places):
+    """Slots of 256 KiB in memory, handed out zeroed, given back to the system when freed.
+
+    Slabs are private anonymous maps of zero pages: one row of 64 cells is one page, so that a tile of which only a
+    part is known costs only the rows that were written. A slab never moves and is never unmapped while a view of it
+    is alive. :meth:`records`, :meth:`copy` and :meth:`known_cells` of pinned slots need no lock.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._slabs: list[mmap.mmap] = []
+        self.address = np.zeros(0, np.uint64)
 
     def _grow(self) -> None:
         try:
             slab = mmap.mmap(-1, SLAB_SLOTS * SLOT_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         except OSError as error:  # which is what the system's refusal comes as
             raise MemoryError(f"no memory for {SLAB_SLOTS} more tiles: {error.strerror}") from None
-        first = len(self.address)
+        with contextlib.suppress(OSError):  # a kernel without huge pages knows no such advice
+            slab.madvise(mmap.MADV_NOHUGEPAGE)  # with them, one known row would cost eight tiles
         start = np.frombuffer(slab, np.uint8).ctypes.data
         self._slabs.append(slab)
         self.address = np.append(self.address, np.uint64(start) + np.arange(SLAB_SLOTS, dtype=np.uint64) * SLOT_BYTES)
-        self.pins = np.append(self.pins, np.zeros(SLAB_SLOTS, np.int32))
-        self.live = np.append(self.live, np.zeros(SLAB_SLOTS, np.bool_))
-        self._free.extend(range(first + SLAB_SLOTS - 1, first - 1, -1))
+        self._extend(SLAB_SLOTS)
 
-    def allocate(self, number: int) -> I4:
-        """``number`` zeroed slots, live. All or none: MemoryError leaves the pool as it was, or larger."""
-        while len(self._free) < number:
-            self._grow()
-        taken = self._free[len(self._free) - number :]
-        del self._free[len(self._free) - number :]
-        slots = np.array(taken[::-1], np.int32)
-        self.live[slots] = True
-        return slots
-
-    def release(self, slots: I4) -> None:
-        """The map no longer uses these slots. Those that are pinned are freed by their last unpin."""
-        self.live[slots] = False
-        self._free_dead(slots)
-
-    def pin(self, slots: I4) -> None:
-        """Keep what these (different) slots hold unchanged until they are unpinned as often."""
-        self.pins[slots] += 1
-
-    def unpin(self, slots: I4) -> None:
-        """Undo one :meth:`pin`."""
-        self.pins[slots] -= 1
-        self._free_dead(slots)
-
-    def _free_dead(self, slots: I4) -> None:
-        dead = slots[(self.pins[slots] == 0) & ~self.live[slots]]
-        for slot in dead.tolist():
-            slab, place = divmod(slot, SLAB_SLOTS)
-            # The pages go back to the system; the next reader of them sees zeros.
-            self._slabs[slab].madvise(mmap.MADV_DONTNEED, place * SLOT_BYTES, SLOT_BYTES)
-            self._free.append(slot)
+    def _vacated(self, place: int) -> None:
+        slab, number = divmod(place, SLAB_SLOTS)
+        # The pages go back to the system; the next reader of them sees zeros.
+        self._slabs[slab].madvise(mmap.MADV_DONTNEED, number * SLOT_BYTES, SLOT_BYTES)
 
     def copy(self, source: int, target: int) -> None:
         """Copy slot ``source`` onto the zeroed slot ``target``."""
         _copy_known_rows(self.address[source], self.address[target])
 
-    def records(self, slot: int) -> Records:
-        """The slot's (4096,) CELL_DTYPE records, j outer, i inner; a read-only view, not a copy."""
+    def writable(self, slot: int) -> Records:
+        """The slot's (4096,) CELL_DTYPE records, j outer, i inner; a view, not a copy."""
         slab, place = divmod(int(slot), SLAB_SLOTS)
-        view = np.frombuffer(self._slabs[slab], CELL_DTYPE, SLOT_CELLS, place * SLOT_BYTES)
+        return np.frombuffer(self._slabs[slab], CELL_DTYPE, SLOT_CELLS, place * SLOT_BYTES)
+
+    def records(self, slot: int) -> Records:
+        """The same, read-only."""
+        view = self.writable(slot)
         view.flags.writeable = False
         return view
 
-    def store(self, slot: int, records: Records) -> None:
-        """Write (4096,) records into a zeroed slot; rows without a known cell are left alone."""
-        slab, place = divmod(int(slot), SLAB_SLOTS)
-        target = np.frombuffer(self._slabs[slab], CELL_DTYPE, SLOT_CELLS, place * SLOT_BYTES)
-        rows = records.reshape(TILE_CELLS, TILE_CELLS)
-        known = (rows["count"] != 0).any(axis=1)
-        target.reshape(TILE_CELLS, TILE_CELLS)[known] = rows[known]
+    def known_rows(self, slot: int) -> int:
+        """Which of the slot's rows hold a known cell: bit j for row j."""
+        return int(_known_rows(self.address[slot]))
 
     def known_cells(self, slot: int) -> int:
         """Number of the slot's cells with a count."""

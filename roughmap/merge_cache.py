@@ -1,4 +1,4 @@
-"""Merged tiles, kept from one reading to the next."""
+"""Tiles that were merged, or read from the shelf, kept from one reading to the next."""
 
 import threading
 from collections import OrderedDict, deque
@@ -11,14 +11,15 @@ import numpy.typing as npt
 from roughmap.tiles import TileTable
 
 CACHE_BYTES = 64 << 20
-"""256 merged tiles. A tile of level 1 costs some 50 us to make again, one of level 7 reads 4 GB of cells at most."""
+"""256 tiles. A tile of level 1 costs some 50 us to make again, one of level 7 reads 4 GB of cells at most."""
 
 Key = tuple[object, ...]
 Array = npt.NDArray[Any]
 
 
 class MergeCache:
-    """What was derived from the map for the levels above 0, shared by all its readers, of any thread.
+    """What was derived from the map for the levels above 0, and tiles of level 0 that are not in memory, shared by all
+    its readers, of any thread.
 
     The keys say of which state of the map an entry tells, so nothing is ever outdated; what was not asked for the
     longest goes first. ``limit`` bounds the bytes of all arrays together.

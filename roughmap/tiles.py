@@ -3,23 +3,30 @@
 import numpy as np
 
 from roughmap.arrays import I4, Records
+from roughmap.cell import CELL_DTYPE
 from roughmap.index import Box, LevelIndex, grown
-from roughmap.memory import SLOT_BYTES, SlotPool
+from roughmap.memory import SLOT_BYTES, SLOT_CELLS, SlotPool
+from roughmap.shelf import Shelf
 
 
 class TileTable:
     """Tiles of level 0 with their slots and stamps, and the tiles above them with their sequences.
 
-    Entries of level 0 number the rows of ``slot``, ``oldest_ns``, ``newest_ns``, ``digest``, ``digest_known`` and of
-    ``levels[0]`` (tx, ty, sequence). ``levels[z]`` holds the ancestors of every tile, z levels up. A tile in the
-    table has a known cell. Everything is the writer's, under its lock, but :meth:`records` and :meth:`known_cells`
-    of slots that the caller has pinned.
+    Entries of level 0 number the rows of ``slot``, ``used``, ``oldest_ns``, ``newest_ns``, ``digest``, ``digest_known``
+    and of ``levels[0]`` (tx, ty, sequence). ``levels[z]`` holds the ancestors of every tile, z levels up. A tile in the
+    table has a known cell. ``slot`` is where it lies: of the pool if not negative, else the place ``~slot`` of the
+    shelf; what lies there has its digest known. ``used`` is the sequence at which the tile was last needed.
+
+    Everything is the writer's, under its lock, but :meth:`records` and :meth:`known_cells` of slots that the caller has
+    pinned.
     """
 
-    def __init__(self, levels: int) -> None:
+    def __init__(self, levels: int, shelf: Shelf) -> None:
         self.levels = [LevelIndex() for _ in range(levels)]
         self.pool = SlotPool()
+        self.shelf = shelf
         self.slot = np.zeros(0, np.int32)
+        self.used = np.zeros(0, np.int64)
         self.oldest_ns = np.zeros(0, np.int64)
         self.newest_ns = np.zeros(0, np.int64)
         self.digest = np.zeros((0, 16), np.uint8)
@@ -33,11 +40,16 @@ class TileTable:
     @property
     def nbytes(self) -> int:
         """Bytes taken at most: slots counted whole, and the tables."""
-        arrays = (self.slot, self.oldest_ns, self.newest_ns, self.digest, self.digest_known)
+        arrays = (self.slot, self.used, self.oldest_ns, self.newest_ns, self.digest, self.digest_known)
         return self.pool.used * SLOT_BYTES + sum(a.nbytes for a in arrays) + sum(level.nbytes for level in self.levels)
 
-    def insert(self, tx: I4, ty: I4) -> I4:
-        """Give (T,) different tiles that are not there yet a zeroed slot each; their entries.
+    @property
+    def resident(self) -> int:
+        """Tiles of level 0 that are in memory."""
+        return int(np.count_nonzero(self.slot[: self.size] >= 0))
+
+    def insert(self, tx: I4, ty: I4, slots: I4 | None = None) -> I4:
+        """Give (T,) different tiles that are not there yet ``slots``, or a zeroed slot each; their entries.
 
         All memory is taken before anything changes: after a MemoryError the table is as it was.
         """
@@ -47,11 +59,13 @@ class TileTable:
         capacity = self.levels[0].capacity
         if capacity > len(self.slot):
             self.slot = grown(self.slot, capacity)
+            self.used = grown(self.used, capacity)
             self.oldest_ns = grown(self.oldest_ns, capacity)
             self.newest_ns = grown(self.newest_ns, capacity)
             self.digest = grown(self.digest, capacity)
             self.digest_known = grown(self.digest_known, capacity)
-        slots = self.pool.allocate(number)
+        if slots is None:
+            slots = self.pool.allocate(number)
         first = self.size
         for shift, level in enumerate(self.levels):
             level.insert(tx, ty, shift)
@@ -59,9 +73,13 @@ class TileTable:
         self.slot[entries] = slots
         return entries
 
-    def unshare(self, entries: I4) -> None:
-        """Before these tiles are written: those that are pinned get a copy of their own (copy-on-write)."""
-        shared = entries[self.pool.pins[self.slot[entries]] > 0]
+    def open(self, entries: I4) -> None:
+        """Before these tiles are written: those on the shelf are brought back, those that are pinned get a copy.
+
+        MemoryError, or the shelf's error, leaves each tile with the cells that it had.
+        """
+        self._bring_back(entries[self.slot[entries] < 0])
+        shared = entries[self.pool.pins[self.slot[entries]] > 0]  # copy-on-write
         if not len(shared):
             return
         old = self.slot[shared]
@@ -71,22 +89,52 @@ class TileTable:
         self.slot[shared] = new
         self.pool.release(old)
 
+    def _bring_back(self, entries: I4) -> None:
+        if not len(entries):
+            return
+        places = ~self.slot[entries]
+        slots = self.pool.allocate(len(entries))
+        try:
+            for place, slot in zip(places.tolist(), slots.tolist(), strict=True):
+                self.shelf.read(place, self.pool.writable(slot))
+        except BaseException:
+            self.pool.release(slots)
+            raise
+        self.slot[entries] = slots
+        self.shelf.release(places)
+
+    def clear(self) -> None:
+        """Give back all slots and places; what readers have pinned stays until they unpin it."""
+        slots = self.slot[: self.size]
+        self.pool.release(slots[slots >= 0])
+        self.shelf.release(~slots[slots < 0])
+
     def select(self, box: Box | None = None) -> I4:
         """Entries of the level-0 tiles in ``box`` (inclusive tile numbers; None: all), ascending by (tx, ty)."""
         return self.levels[0].entries(box)
 
     def pin(self, slots: I4) -> None:
         """Keep the bytes of these (different) slots as they are, until :meth:`unpin`."""
-        self.pool.pin(slots)
+        self.pool.pin(slots[slots >= 0])
+        self.shelf.pin(~slots[slots < 0])
 
     def unpin(self, slots: I4) -> None:
         """Undo one :meth:`pin`; slots that the map has left meanwhile are freed."""
-        self.pool.unpin(slots)
+        self.pool.unpin(slots[slots >= 0])
+        self.shelf.unpin(~slots[slots < 0])
 
     def records(self, slot: int) -> Records:
-        """The slot's (4096,) CELL_DTYPE records, j outer, i inner; a read-only view, valid while pinned."""
-        return self.pool.records(slot)
+        """The slot's (4096,) CELL_DTYPE records, j outer, i inner, read-only, valid while pinned.
+
+        A view of what is in memory; what is on the shelf is read.
+        """
+        if slot >= 0:
+            return self.pool.records(slot)
+        records = np.zeros(SLOT_CELLS, CELL_DTYPE)
+        self.shelf.read(~slot, records)
+        records.flags.writeable = False
+        return records
 
     def known_cells(self, slot: int) -> int:
-        """Number of the slot's cells with a count."""
+        """Number of the cells with a count in a slot that is in memory."""
         return self.pool.known_cells(slot)

@@ -66,7 +66,7 @@ class Served:
         self.map = filled(self.config)
         self.view = View(self.map, self.epoch)
         self.keys = Keys(self.config.map.name, self.config.keys)
-        self.emptied = Emptied()
+        self.emptied = Emptied(self.config.map.max_tiles)
         self.counters = Counters()
         self.progress = Progress()
         self.digest = configuration_digest(self.config)

@@ -72,6 +72,10 @@ class MapConfig(Section):
     bounds: MaybeBounds = None
     levels: Annotated[int, Field(ge=1, le=24), NUMBER] = 8
     memory_limit: Size = 2 << 30
+    """The process's resident memory beyond what it takes without tiles; then tiles go to the spill file."""
+    spill_path: Annotated[str | None, MaybeNone] = None
+    """None: tiles.spill in log.directory."""
+    spill_limit: Size = 64 << 30
     max_new_tiles: AtLeastOne = 4096
     max_tiles: AtLeastOne = 4_000_000
     limits: Annotated[dict[str, Positive], AfterValidator(_known_limits)] = {

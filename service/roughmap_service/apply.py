@@ -44,6 +44,8 @@ class RunState:
     record: int = 0
     poses: dict[str, PoseBuffer] = field(default_factory=dict)
     clouds: dict[int, Cloud] = field(default_factory=dict)
+    no_new_tiles: bool = False
+    """Set where the memory has no room for more: a cloud that needs a new tile is then one of too many."""
 
     def take_cloud(self, number: int, cloud: Cloud) -> None:
         """A cloud was logged; it stays until its event."""
@@ -93,7 +95,9 @@ class RunState:
                     f"poses of {event.robot} at that place of the log"
                 ) from None
             try:
-                report = integrate(self.map, event.robot, cloud, poses, self.settings)
+                # Whether there was room then, no replay can know: that the cloud needed a new tile, it can.
+                bounded = self.no_new_tiles or event.outcome == CloudReason.TOO_MANY_TILES
+                report = integrate(self.map, event.robot, cloud, poses, self.settings, no_new_tiles=bounded)
                 accepted = report.accepted
                 rejected = {PointReason(name): n for name, n in report.rejected.items()}
                 outcome = INTEGRATED if accepted else CloudReason.EMPTY
@@ -117,9 +121,17 @@ class RunState:
         return self.poses[robot]
 
 
-def integrate(rough_map: RoughMap, robot: str, cloud: Cloud, poses: Sequence[Pose], settings: Settings) -> AddReport:
+def integrate(
+    rough_map: RoughMap,
+    robot: str,
+    cloud: Cloud,
+    poses: Sequence[Pose],
+    settings: Settings,
+    *,
+    no_new_tiles: bool = False,
+) -> AddReport:
     """Place a cloud and add it to the map. TooManyTiles before any cell is written."""
-    limits = {"max_new_tiles": settings.max_new_tiles, "max_tiles": settings.max_tiles}
+    limits = {"max_new_tiles": 0 if no_new_tiles else settings.max_new_tiles, "max_tiles": settings.max_tiles}
     if cloud.frame_id == settings.frame_id:
         return _integrate_placed(rough_map, cloud, settings, limits)
     sensor = settings.sensor(robot, cloud.frame_id)

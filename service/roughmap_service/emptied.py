@@ -26,20 +26,28 @@ class Gone:
 
 
 class Emptied:
-    """Level-0 tiles known before a reset, at most 8 bytes each; kept for the life of the process.
+    """Level-0 tiles known before a reset, 8 bytes each, at most ``limit`` of them: beyond it those are forgotten that
+    the earliest resets emptied. Whoever asks with an epoch from before those gets all tiles, as after a restart.
 
     ``note`` is called with the map held, right before `RoughMap.reset`; ``now`` is read with the map held too, so that
     it is of the same moment as a reading of the map.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._resets: list[Tiles] = []
         self.now = Gone(np.empty((0, 2), np.int32), 0)
 
     def note(self, rough_map: RoughMap) -> None:
         """Remember the tiles that the map holds now, beside those of earlier resets."""
         with rough_map.freeze(0) as frozen:
             tiles = np.array(frozen.tiles, np.int32, copy=True).reshape(-1, 2)
-        self.now = Gone(np.unique(np.concatenate([self.now.level0, tiles]), axis=0), rough_map.sequence + 1)
+        # Each tile stands with the last reset that emptied it.
+        resets = [left for earlier in self._resets if len(left := without(earlier, tiles))] + [tiles]
+        while len(resets) > 1 and sum(map(len, resets)) > self._limit:
+            del resets[0]
+        self._resets = resets
+        self.now = Gone(np.unique(np.concatenate(resets), axis=0), rough_map.sequence + 1)
 
 
 def without(tiles: Tiles, others: Tiles) -> Tiles:

@@ -5,6 +5,7 @@ import logging
 import re
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -28,8 +29,10 @@ from .log_reader import (
     read_run,
 )
 from .log_repair import repair
+from .memory import Memory
 from .settings import Settings, new_map
 from .store import Cut, OtherStateVersion, Store, StoreError
+from .stored_tiles import StoredTiles, set_index
 
 log = logging.getLogger(__name__)
 
@@ -74,9 +77,11 @@ def recover(
     store: Store | None,
     progress: Progress | None = None,
     stop: threading.Event | None = None,
+    memory: Memory | None = None,
 ) -> Recovered:
     """Bring back the log directory's newest run, from the store's cut if there is one, else from its beginning.
 
+    With ``memory`` the store's tiles stay in the store until they are needed, and tiles leave memory at its limit.
     LogError, StoreError, RunError or IdentityError, each one line, where the map can't be had again; Stopped once
     ``stop`` is set.
     """
@@ -93,10 +98,11 @@ def recover(
         check_identity(config, files[-1].metadata.configuration, files[-1].path)
     elif outdated:
         raise LogError(f"{directory}: no log to build the store of another version anew from; start with --fresh")
-    watch = _Watch(progress, stop or threading.Event())
+    watch = _Watch(progress, stop or threading.Event(), memory)
     result, end = _bring_back(config, store, cut, files, watch)
     if cut is not None and files and end < cut.record:
         log.warning("the log ends at record %d, the store's cut is at %d: the map is that of the log", end, cut.record)
+        result.state.map.reset()  # so that it lets go of what it holds outside memory
         result, _ = _bring_back(config, store, None, files, watch)
     if outdated and store is not None:
         store.set_aside("outdated")
@@ -105,22 +111,23 @@ def recover(
 
 @dataclass(frozen=True, slots=True)
 class _Watch:
-    """Who looks on while files are folded, and who may want it to end."""
+    """Who looks on while files are folded, who may want it to end, and what bounds its memory."""
 
     progress: Progress | None
     stop: threading.Event
+    memory: Memory | None
 
 
 def _bring_back(
     config: Config, store: Store | None, cut: Cut | None, files: list[RunFile], watch: _Watch
 ) -> tuple[Recovered, int]:
     """The run as of the end of its files, begun at the cut, if any; and the last record that the files hold."""
-    result = blank(config)
+    result = blank(config, watch.memory)
     result.cut = cut
     taken, low_water = 0, 1
     if cut is not None and store is not None:
         taken, low_water = cut.record, cut.low_water
-        _take_cut(config, store, cut, result)
+        _take_cut(config, store, cut, result, watch.memory)
     if not files:
         return result, 0
     first, last = files[0].metadata, files[-1].metadata
@@ -140,14 +147,15 @@ def _bring_back(
     return result, end
 
 
-def blank(config: Config) -> Recovered:
+def blank(config: Config, memory: Memory | None = None) -> Recovered:
     """The beginning of a run: an empty map at sequence 0, epoch 1."""
-    return Recovered(RunState(Settings(config), new_map(config)), Duplicates(config.input.duplicates))
+    rough_map = new_map(config, None if memory is None else memory.spill)
+    return Recovered(RunState(Settings(config), rough_map), Duplicates(config.input.duplicates))
 
 
-def begin_anew(config: Config, directory: Path) -> Recovered:
+def begin_anew(config: Config, directory: Path, memory: Memory | None = None) -> Recovered:
     """The beginning of a run that is newer than all whose files lie in the directory."""
-    result = blank(config)
+    result = blank(config, memory)
     for path in directory.glob("*.mcap"):
         if FILE_NAME.fullmatch(path.name):
             with contextlib.suppress(LogError, OSError):  # what can't be read is no run that could be taken for newer
@@ -191,10 +199,14 @@ def check_identity(config: Config, stored: dict[str, object], where: Path) -> No
             )
 
 
-def _take_cut(config: Config, store: Store, cut: Cut, result: Recovered) -> None:
+def _take_cut(config: Config, store: Store, cut: Cut, result: Recovered, memory: Memory | None) -> None:
     check_identity(config, cut.configuration, store.path)
     state = result.state
-    store.load_into(state.map, cut)
+    if memory is None:
+        store.load_into(state.map, cut)
+    else:
+        stored = StoredTiles(store)
+        set_index(state.map, cut, stored, memory.spill.adopt(stored))
     state.epoch, state.input, state.record = cut.epoch, cut.input, cut.record
     for robot, buffer in cut.poses.items():
         state.buffer(robot).load_state(buffer)
@@ -231,6 +243,8 @@ def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: 
                 identity = Duplicates.identity(item.robot, item.kind, item.payload)
                 result.duplicates.add(identity, item.number)
         else:
+            if watch.memory is not None:
+                watch.memory.relieve(lambda: nullcontext(state.map))
             if step.outcome != item.event:
                 told = f"its event {item.event} came out as {step.outcome}"
                 if own:

@@ -33,6 +33,7 @@ from .intake import InputMessage, Intake
 from .log_file import Kind, LogRecord
 from .log_writer import LogWriter, Rotate, Sync
 from .logs import note
+from .memory import Memory
 from .settings import MAX_ROBOTS, NS
 from .view import View
 
@@ -69,6 +70,7 @@ class Sequencer:
         writer: LogWriter,
         intake: Intake,
         counters: Counters,
+        memory: Memory,
         duplicates: Duplicates,
         keys: Keys,
         intervals: Intervals,
@@ -83,6 +85,7 @@ class Sequencer:
         self._writer = writer
         self._intake = intake
         self._counters = counters
+        self._memory = memory
         self._keys = keys
         self._intervals = intervals
         self._publish_event = publish_event
@@ -189,6 +192,8 @@ class Sequencer:
         while self.inbox.ended and self._decide():
             pass  # what only has to be told costs nothing, and must not pile up behind what has to be placed
         decided = self._decide()
+        if not decided and not messages:  # readers and queues take memory too
+            self._memory.relieve(self.view.reading)
         now = time.monotonic()
         if now >= self._next_checkpoint:
             self.checkpoint()
@@ -324,6 +329,8 @@ class Sequencer:
         if decision is None:
             return False
         proposal = _proposal(decision, self.state)
+        self._memory.relieve(self.view.reading)  # before the map is held: it may write to the disk
+        self.state.no_new_tiles = self._memory.full
         with self.view.change():
             begun = time.monotonic()
             done = self._place(proposal)

@@ -38,11 +38,13 @@ from .intake import Intake, ZenohInputs
 from .log_file import Kind, LogRecord
 from .log_writer import LogWriter
 from .logs import note
+from .memory import Memory
 from .readiness import Readiness, Sources, running_problems
 from .recovery import Progress as RecoveryProgress
 from .recovery import Recovered, Stopped, begin_anew, recover
 from .sequencer import Intervals, Sequencer
 from .snapshots import Snapshots, cut_of
+from .spill import Spill
 from .status import Progress, Status, StatusPublisher
 from .store import Store
 from .tile_reply import Identity
@@ -54,6 +56,9 @@ from .warmup import warm_up
 log = logging.getLogger(__name__)
 
 VERSION = version("roughmap")
+
+SPILL_NAME = "tiles.spill"
+"""The spill file in the log's directory, if no other is named."""
 
 CONTROL_SECONDS = 30.0
 """How long an operator's snapshot or reset may take."""
@@ -99,17 +104,19 @@ def serve(
         stack.callback(token.undeclare)  # last of all: whoever waits for it may then open the log
         if others and not stop.is_set():
             raise ServeError(f"map {config.map.name!r} is served already, by {', '.join(others)}; stop that one first")
+        warm_up(config, stop)  # before memory is measured, and before the first tile
+        path = Path(config.map.spill_path) if config.map.spill_path else directory / SPILL_NAME
+        memory = Memory(config.map.memory_limit, stack.enter_context(Spill(path, config.map.spill_limit)))
         try:
-            recovered = _recovered(config, directory, store, fresh, progress, stop)
+            recovered = _recovered(config, directory, store, fresh, progress, stop, memory)
         except Stopped:
             log.info("ended before it was ready")
             return
         sequence, epoch = recovered.state.map.sequence, recovered.epoch
         text = f"the map is back at sequence {sequence}, epoch {epoch}; {len(recovered.undecided)} clouds are undecided"
         note(log, logging.INFO, "map_recovered", text, sequence=sequence, epoch=epoch, run=recovered.run)
-        warm_up(config, stop)
         if not stop.is_set():
-            _run(loaded, keys, session, instance, directory, store, recovered, stop, announce, sources)
+            _run(loaded, keys, session, instance, directory, store, recovered, memory, stop, announce, sources)
 
 
 def _run(
@@ -120,6 +127,7 @@ def _run(
     directory: Path,
     store: Store | None,
     recovered: Recovered,
+    memory: Memory,
     stop: threading.Event,
     announce: Callable[[dict[str, Any]], None],
     sources: Sources,
@@ -129,7 +137,7 @@ def _run(
     state, run = recovered.state, recovered.run or uuid.uuid4().hex
     state.epoch = recovered.epoch
     identity = Identity(config.map.name, run, instance, configuration_digest(config), config.map.frame_id)
-    counters, view, emptied = Counters(), View(state.map, recovered.epoch), Emptied()
+    counters, view, emptied = Counters(), View(state.map, recovered.epoch), Emptied(config.map.max_tiles)
     ending, whole = Ending(config.service.shutdown_timeout), True
     with ExitStack() as stack:
         replies = Replies()
@@ -142,7 +150,7 @@ def _run(
             whole = writer.close(ending.left(0.9))
 
         stored = None if recovered.was_reset else recovered.cut
-        snapshots = Snapshots(store, view, writer, stored, keep=config.log.keep)
+        snapshots = Snapshots(store, view, writer, stored, keep=config.log.keep, spill=memory.spill)
         intake = Intake(config.input.queue_limit, counters)
         events = session.declare_publisher(
             keys.events, encoding=json_encoding("Event"), congestion_control=zenoh.CongestionControl.DROP
@@ -160,7 +168,7 @@ def _run(
                 snapshots.offer(cut_of(run, config, state, sequencer.inbox, recovered.duplicates))
 
         sequencer = Sequencer(
-            state, view, writer, intake, counters, recovered.duplicates, keys,
+            state, view, writer, intake, counters, memory, recovered.duplicates, keys,
             Intervals(config.log.checkpoint_interval, config.store.snapshot_interval),
             publish_event=publish, take_snapshot=cut, before_reset=emptied.note,
         )  # fmt: skip
@@ -173,6 +181,7 @@ def _run(
                 newest_stamp_ns=sequencer.newest_stamp_ns,
                 waiting=sequencer.inbox.waiting,
                 overloaded=counters.overloaded,
+                memory_ok=memory.ok,
                 log=LogState(file=str(writer.path), bytes=writer.size, ok=writer.ok),
             )
 
@@ -235,6 +244,8 @@ def _run(
         while not stop.wait(0.5):
             if not sequencer.alive:
                 raise ServiceFailed(f"the sequencer failed: {sequencer.failure}")
+            if memory.spill.failure:  # a map of which a part is lost must not be served on
+                raise ServiceFailed(memory.spill.failure)
         intake.close()
     if not whole:
         raise ServiceFailed(f"the end of the log is lost: {writer.error or 'the disk did not take it in time'}")
@@ -259,12 +270,13 @@ def _recovered(
     fresh: bool,
     progress: RecoveryProgress | None,
     stop: threading.Event,
+    memory: Memory,
 ) -> Recovered:
     if not fresh:
-        return recover(config, directory, store, progress, stop)
+        return recover(config, directory, store, progress, stop, memory)
     if store is not None and store.exists():
         log.warning("a new run; the old store is %s", store.set_aside())
-    return begin_anew(config, directory)
+    return begin_anew(config, directory, memory)
 
 
 def _metadata(config: Config, run: str, recovered: Recovered) -> RunMetadata:

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap import Limits, Noise, RoughMap
+from roughmap.shelf import Shelf
 from roughmap_schemas import Config, SensorConfig
 
 NS = 1_000_000_000
@@ -87,10 +88,14 @@ def _sensor(config: SensorConfig, max_pose_gap: float) -> Sensor:
     )
 
 
-def new_map(config: Config) -> RoughMap:
+CACHE_SHARE = 1 / 16
+"""Part of the memory limit that merged tiles, kept for readers, may take."""
+
+
+def new_map(config: Config, shelf: Shelf | None = None) -> RoughMap:
     """An empty map with the configuration's identity."""
     m = config.map
-    return RoughMap(
+    rough_map = RoughMap(
         cell_size=m.cell_size,
         error_model=m.error_model,
         coverage=m.coverage,
@@ -101,4 +106,7 @@ def new_map(config: Config) -> RoughMap:
         bounds=m.bounds,
         levels=m.levels,
         threads=config.service.threads or None,
+        shelf=shelf,
     )
+    rough_map.limit_cache(int(m.memory_limit * CACHE_SHARE))
+    return rough_map

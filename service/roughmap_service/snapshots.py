@@ -3,6 +3,7 @@
 import logging
 import sqlite3
 import threading
+import time
 
 from roughmap.frozen import Frozen
 from roughmap_schemas import Config, configuration_digest
@@ -13,13 +14,17 @@ from .ingest import Duplicates
 from .log_keep import delete_oldest
 from .log_writer import LogWriter
 from .logs import note
-from .store import Cut, Store
+from .spill import Spill, SpillError
+from .store import Cut, Store, StoreError
 from .view import View
 
 log = logging.getLogger(__name__)
 
 SYNC_SECONDS = 10.0
 """How long a snapshot waits for the log to be on the disk through its cut; then the next one tries again."""
+
+READ_SECONDS = 0.05
+"""How often a snapshot looks whether readings that it must wait for are over."""
 
 
 def cut_of(run: str, config: Config, state: RunState, inbox: Inbox, duplicates: Duplicates) -> Cut:
@@ -46,12 +51,20 @@ class Snapshots:
     """
 
     def __init__(
-        self, store: Store | None, view: View, writer: LogWriter, stored: Cut | None, *, keep: int | None = None
+        self,
+        store: Store | None,
+        view: View,
+        writer: LogWriter,
+        stored: Cut | None,
+        *,
+        keep: int | None = None,
+        spill: Spill | None = None,
     ) -> None:
         self._store = store
         self._view = view
         self._writer = writer
         self._keep = keep
+        self._spill = spill
         self._epoch_of_tiles = view.epoch if stored is not None else None
         self._busy = threading.Lock()
         self._thread: threading.Thread | None = None
@@ -70,9 +83,12 @@ class Snapshots:
         """
         if self._store is None or not self._busy.acquire(blocking=False):
             return None
+        # Tiles stored under another epoch of this process may have been emptied by a reset since.
+        after = self.sequence if self._epoch_of_tiles == cut.epoch else None
         with self._view.reading() as rough_map:
-            frozen = rough_map.freeze()
-        thread = threading.Thread(target=self._write, args=(cut, frozen), name="snapshot", daemon=True)
+            frozen = rough_map.freeze(after=-1 if after is None else after)
+            outlived = self._outlived()
+        thread = threading.Thread(target=self._write, args=(cut, frozen, after, outlived), name="snapshot", daemon=True)
         self._thread = thread
         thread.start()
         return thread
@@ -82,21 +98,38 @@ class Snapshots:
         if self._thread is not None:
             self._thread.join(timeout)
 
-    def _write(self, cut: Cut, frozen: Frozen) -> None:
+    def _outlived(self) -> set[int]:
+        """Tiles that this cut will overwrite in the store, and that readings begun before still read there."""
+        return set() if self._spill is None else set(self._spill.outlived().tolist())
+
+    def _wait_read(self, outlived: set[int]) -> bool:
+        """Wait for those readings; False if it takes too long."""
+        until = time.monotonic() + SYNC_SECONDS
+        while outlived:
+            with self._view.reading():
+                outlived &= self._outlived()
+            if time.monotonic() > until:
+                return False
+            time.sleep(READ_SECONDS)
+        return True
+
+    def _write(self, cut: Cut, frozen: Frozen, after: int | None, outlived: set[int]) -> None:
         assert self._store is not None  # noqa: S101 - offer() saw to it
         try:
             if not self._writer.wait_synced(SYNC_SECONDS):
                 self.error = "the log could not be made durable through the snapshot"
                 return
-            # Tiles stored under another epoch of this process may have been emptied by a reset since.
-            after = self.sequence if self._epoch_of_tiles == cut.epoch else None
+            if not self._wait_read(outlived):
+                self.error = "a reader holds tiles as they were stored before"
+                return
             self._store.write(cut, frozen, after)
             self._epoch_of_tiles, self.sequence, self.error = cut.epoch, cut.sequence, ""
             text = f"the map is stored through sequence {cut.sequence}"
             note(log, logging.INFO, "snapshot", text, sequence=cut.sequence, epoch=cut.epoch)
             self._delete_log(cut)
-        except (sqlite3.Error, OSError) as error:
-            self.error = f"{self._store.path}: {error}"
+        except (SpillError, StoreError, sqlite3.Error, OSError) as error:
+            named = isinstance(error, SpillError | StoreError)
+            self.error = str(error) if named else f"{self._store.path}: {error}"
             note(log, logging.ERROR, "snapshot_failed", f"no snapshot: {self.error}", cause=self.error)
         finally:
             with self._view.reading():

@@ -1,12 +1,10 @@
 """The status: how the service and its map are."""
 
 import logging
-import os
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -30,6 +28,7 @@ from roughmap_schemas.messages import (
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
 from roughmap_service.counters import Counters
 from roughmap_service.logs import note
+from roughmap_service.memory import memory_bytes
 from roughmap_service.tile_reply import Identity
 from roughmap_service.view import View
 
@@ -37,8 +36,6 @@ LOG = logging.getLogger(__name__)
 
 PERIOD_S = 1.0
 """The contract's 1 Hz."""
-
-STATM = Path("/proc/self/statm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,16 +48,7 @@ class Progress:
     waiting: int = 0
     overloaded: bool = False
     log: LogState = field(default_factory=LogState)
-    spilled: int = 0
-
-
-def memory_bytes() -> int:
-    """The process's resident memory; 0 where the system doesn't tell."""
-    try:
-        pages = STATM.read_text(encoding="ascii").split()[1]
-    except (OSError, IndexError):
-        return 0
-    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+    memory_ok: bool = True
 
 
 class Status:
@@ -87,10 +75,10 @@ class Status:
         """The status now; waits for the rest of one scan's integration at most."""
         with self._view.reading() as rough_map:
             epoch, sequence = self._view.epoch, rough_map.sequence
-            extent, resident = rough_map.extent(), rough_map.tile_count
+            extent, tiles, resident = rough_map.extent(), rough_map.tile_count, rough_map.resident_tiles
         counts, progress = self._counters.snapshot(), self._progress()
         lag, (clouds, points, poses) = self._counters.lag(), self._counters.rates()
-        health = "ok" if progress.log.ok else "degraded"
+        health = "ok" if progress.log.ok and progress.memory_ok else "degraded"
         if progress.overloaded and health == "ok":
             health = "overloaded"
         return MapStatus(
@@ -131,7 +119,7 @@ class Status:
             lag_s=Lag(p50=lag.p50, p99=lag.p99),
             rates=Rates(clouds=clouds, points=points, poses=poses),
             memory_bytes=memory_bytes(),
-            tiles=TileCounts(resident=resident, spilled=progress.spilled),
+            tiles=TileCounts(resident=resident, spilled=tiles - resident),
             log=progress.log,
             uptime_s=time.monotonic() - self._started,
         )

@@ -13,6 +13,7 @@ import xxhash
 import zstandard
 
 from roughmap import CELL_DTYPE, STATE_VERSION, RoughMap
+from roughmap.arrays import Records
 from roughmap.frozen import Frozen
 
 from .disk import make_directory, sync_directory
@@ -69,7 +70,7 @@ class StoredTile:
     oldest_ns: int
     newest_ns: int
     digest: bytes
-    records: np.ndarray[Any, np.dtype[np.void]]
+    records: Records
 
 
 class Store:
@@ -86,7 +87,7 @@ class Store:
         """The cut, or None if nothing was stored yet. StoreError if the file is no store, or one of another version."""
         if not self.path.exists():
             return None
-        with self._reading() as db:
+        with self.reading() as db:
             if not db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
                 return None  # a kill came between the making of the file and of its tables
             rows = db.execute("SELECT name, value FROM cut").fetchall()
@@ -106,18 +107,22 @@ class Store:
 
     def read_tiles(self) -> Iterator[StoredTile]:
         """All tiles, each checked against its digest. StoreError names the first that is damaged."""
-        unpack = zstandard.ZstdDecompressor()
-        with self._reading() as db:
+        with self.reading() as db:
             for tx, ty, oldest, newest, digest, blob in db.execute(
                 "SELECT tx, ty, oldest_ns, newest_ns, digest, records FROM tiles ORDER BY tx, ty"
             ):
-                raw = b""
-                with suppress(zstandard.ZstdError, TypeError):
-                    if zstandard.frame_content_size(blob) == TILE_BYTES:  # before anything is allocated for it
-                        raw = unpack.decompress(blob)
-                if len(raw) != TILE_BYTES or xxhash.xxh3_128_digest(raw) != digest:
-                    raise StoreError(f"{self.path}: tile ({tx}, {ty}) is damaged; move the file away to rebuild it")
-                yield StoredTile(tx, ty, oldest, newest, digest, np.frombuffer(raw, CELL_DTYPE))
+                records = self.unpacked(tx, ty, digest, blob)
+                yield StoredTile(tx, ty, oldest, newest, digest, records)
+
+    def unpacked(self, tx: int, ty: int, digest: object, blob: object) -> Records:
+        """A tile's (4096,) records from what is stored of it. StoreError that names it if the digest is another."""
+        raw = b""
+        with suppress(zstandard.ZstdError, TypeError):
+            if zstandard.frame_content_size(blob) == TILE_BYTES:  # type: ignore[arg-type] # before it is allocated
+                raw = zstandard.ZstdDecompressor().decompress(blob)  # type: ignore[arg-type]
+        if len(raw) != TILE_BYTES or xxhash.xxh3_128_digest(raw) != digest:
+            raise StoreError(f"{self.path}: tile ({tx}, {ty}) is damaged; move the file away to rebuild it")
+        return np.frombuffer(raw, CELL_DTYPE)
 
     def load_into(self, rough_map: RoughMap, cut: Cut) -> None:
         """Fill an empty map with the stored tiles, at the cut's sequence."""
@@ -179,7 +184,7 @@ class Store:
 
     def _run(self) -> str:
         """The run that the store is of, whatever its version."""
-        with self._reading() as db:
+        with self.reading() as db:
             if not db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
                 return "empty"
             row = db.execute("SELECT value FROM cut WHERE name = 'run'").fetchone()
@@ -187,12 +192,18 @@ class Store:
         return run if run.isalnum() else "unknown" if run else "empty"
 
     @contextmanager
-    def _reading(self) -> Iterator[sqlite3.Connection]:
+    def reading(self) -> Iterator[sqlite3.Connection]:
+        """A connection that only reads; what goes wrong is a StoreError."""
         try:
-            with closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=rw", uri=True, timeout=5.0)) as db:
+            with closing(self.open_reading()) as db:
                 yield db
         except sqlite3.Error as error:
             raise StoreError(f"{self.path}: {error}; it is no map.db, or damaged") from None
+
+    def open_reading(self, *, check_same_thread: bool = True) -> sqlite3.Connection:
+        """The connection itself, to be closed by the caller. sqlite3.Error."""
+        uri = f"{self.path.absolute().as_uri()}?mode=rw"
+        return sqlite3.connect(uri, uri=True, timeout=5.0, check_same_thread=check_same_thread)
 
 
 def _rows(frozen: Frozen, after: int | None, pack: zstandard.ZstdCompressor) -> Iterable[tuple[Any, ...]]:

@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 
 from roughmap.index import rehash
+from roughmap.memory import SlotPool
 from roughmap_schemas import Config, decode_cloud, encode_cloud
 
 from .apply import integrate
@@ -59,3 +60,5 @@ def warm_up(config: Config, stop: threading.Event) -> None:
         rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height", "confidence_level", "traversability"], level=0)
         rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height"], level=config.map.levels - 1)
         rough_map.digest()
+    pool = SlotPool()
+    pool.known_rows(int(pool.allocate(1)[0]))  # what a tile that leaves memory is asked

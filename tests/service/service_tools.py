@@ -32,6 +32,7 @@ from roughmap_service.log_reader import EventRecord, FileStart, InputRecord, Log
 from roughmap_service.log_writer import LogWriter, Rotate
 from roughmap_service.recovery import Recovered, blank
 from roughmap_service.snapshots import Snapshots, cut_of
+from roughmap_service.spill import Spill
 from roughmap_service.store import Store
 from roughmap_service.view import View
 
@@ -104,6 +105,7 @@ class Run:
         store: Store | None = None,
         open_file: Callable[[Path], IO[bytes]] = open_new,
         created_ns: int = T0,
+        spill: Spill | None = None,
     ) -> None:
         self.config = settings or config()
         self.directory = directory
@@ -129,7 +131,7 @@ class Run:
         )
         self.writer = LogWriter(directory, first, open_file=open_file)
         stored = None if self.recovered.was_reset else self.recovered.cut
-        self.snapshots = Snapshots(store, self.view, self.writer, stored, keep=self.config.log.keep)
+        self.snapshots = Snapshots(store, self.view, self.writer, stored, keep=self.config.log.keep, spill=spill)
         for number, robot, size in self.recovered.undecided:
             self._feed(number, robot, size)
 

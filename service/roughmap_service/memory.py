@@ -1,0 +1,105 @@
+"""The process's memory, held to `map.memory_limit`: beyond it tiles leave for the spill file."""
+
+import logging
+import os
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from roughmap import RoughMap
+from roughmap.memory import SLOT_BYTES
+
+from .logs import note
+from .spill import Spill
+
+log = logging.getLogger(__name__)
+
+STATM = Path("/proc/self/statm")
+
+BATCH = 64
+"""Tiles that leave at a time, 16 MiB: between batches the memory is measured again, and readers have the lock."""
+
+HIGH, LOW = 15 / 16, 7 / 8
+"""Parts of the limit: where tiles begin to leave, and how far. The distance keeps it from being at it all the time."""
+
+RETRY_SECONDS = 1.0
+"""How long a disk that would not take tiles is left alone."""
+
+Reading = Callable[[], AbstractContextManager[RoughMap]]
+"""Holds the map for a short look."""
+
+
+def memory_bytes() -> int:
+    """The process's resident memory; 0 where the system doesn't tell."""
+    try:
+        pages = STATM.read_text(encoding="ascii").split()[1]
+    except (OSError, IndexError):
+        return 0
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
+
+class Memory:
+    """Watches resident memory, less what it was when this was made: before the first tile, when all else was ready.
+
+    Attributes:
+        ok: whether tiles could leave when they had to.
+        full: whether the limit is passed and tiles can't leave: then the map must not get new ones.
+    """
+
+    def __init__(self, limit: int, spill: Spill, *, measure: Callable[[], int] = memory_bytes) -> None:
+        self.limit = limit
+        self.spill = spill
+        self.ok = True
+        self.full = False
+        self._measure = measure
+        self._before = measure()
+        self._retry = 0.0
+
+    @property
+    def taken(self) -> int:
+        """Bytes that count against the limit."""
+        return self._measure() - self._before
+
+    def relieve(self, reading: Reading) -> None:
+        """If there is need, take tiles out of memory. Call it where nobody else changes the map meanwhile."""
+        if self.taken <= self.limit * HIGH:
+            self._say(True, "")
+            self.full = False
+            return
+        if not self.ok and time.monotonic() < self._retry:
+            self.full = self.taken > self.limit
+            return
+        while (excess := self.taken - int(self.limit * LOW)) > 0:
+            number, why = self._evict(reading, min(BATCH, -(-excess // SLOT_BYTES)))
+            if why:
+                self._say(False, why)
+                self._retry = time.monotonic() + RETRY_SECONDS
+                self.full = self.taken > self.limit
+                return
+            if not number:
+                break  # what is left is in use, or is no tile
+        self._say(True, "")
+        self.full = False
+
+    def _evict(self, reading: Reading, number: int) -> tuple[int, str]:
+        """How many tiles left, and what was in the way of more; "" if nothing was."""
+        with reading() as rough_map:
+            eviction = rough_map.spill(number)
+        why = f"{self.spill.path}: map.spill_limit is reached" if eviction.short else ""
+        try:
+            eviction.write()
+        except OSError as error:
+            why = f"{self.spill.path}: {error.strerror}"
+        finally:
+            with reading():
+                eviction.close()
+        return eviction.number, why
+
+    def _say(self, ok: bool, why: str) -> None:
+        if ok and not self.ok:
+            note(log, logging.INFO, "memory_relieved", "tiles leave memory again", always=True)
+        elif not ok and self.ok:
+            text = f"tiles can't leave memory: {why}; beyond map.memory_limit no new ones are taken"
+            note(log, logging.WARNING, "memory_full", text, always=True, cause=why)
+        self.ok = ok

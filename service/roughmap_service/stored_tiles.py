@@ -1,0 +1,95 @@
+"""The tiles of a map.db, taken from it when they are first needed."""
+
+import sqlite3
+import threading
+from contextlib import closing
+from dataclasses import dataclass
+
+import numpy as np
+
+from roughmap import RoughMap
+from roughmap.arrays import I4, I8, U1, Records
+from roughmap.shelf import copy_known_rows
+
+from .store import Cut, Store, StoreError
+
+CHUNK = 1 << 14
+"""Rows that are in memory as Python's objects at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class TileIndex:
+    """Which tiles are stored: (T,) ``tx``, ``ty``, ``oldest_ns``, ``newest_ns``, and (T, 16) ``digest``."""
+
+    tx: I4
+    ty: I4
+    oldest_ns: I8
+    newest_ns: I8
+    digest: U1
+
+
+def read_index(store: Store) -> TileIndex:
+    """The index of all tiles, without their records. StoreError if it can be none."""
+    numbers, digests = [np.zeros((0, 4), np.int64)], [b""]
+    with store.reading() as db:
+        rows = db.execute("SELECT tx, ty, oldest_ns, newest_ns, digest FROM tiles ORDER BY tx, ty")
+        while part := rows.fetchmany(CHUNK):
+            try:
+                numbers.append(np.array([row[:4] for row in part], np.int64))
+                digests.append(b"".join(row[4] for row in part))
+            except (ValueError, TypeError, OverflowError) as error:
+                raise damaged(store, str(error)) from None
+            if len(digests[-1]) != 16 * len(part):
+                raise damaged(store, "a digest is not of 16 bytes")
+    table = np.concatenate(numbers)
+    if len(table) and not (table[:, :2].min() >= -(1 << 31) and table[:, :2].max() < 1 << 31):
+        raise damaged(store, "a tile's number is not of 32 bits")
+    tx, ty, oldest, newest = table.T
+    digest = np.frombuffer(b"".join(digests), np.uint8).reshape(-1, 16)
+    return TileIndex(tx.astype(np.int32), ty.astype(np.int32), oldest.copy(), newest.copy(), digest)
+
+
+def damaged(store: Store, why: str) -> StoreError:
+    """The error of a store whose content can't be."""
+    return StoreError(f"{store.path}: damaged ({why}); move the file away to rebuild it")
+
+
+class StoredTiles:
+    """Reads the records of tiles, by their number in the index; any thread may."""
+
+    def __init__(self, store: Store) -> None:
+        self.index = read_index(store)
+        self.store = store
+        self._lock = threading.Lock()
+        self._db: sqlite3.Connection | None = None
+
+    def read(self, number: int, records: Records) -> None:
+        """Fill (4096,) zeroed records. StoreError names a tile that is damaged, or is no longer the indexed one."""
+        index = self.index
+        tx, ty = int(index.tx[number]), int(index.ty[number])
+        try:
+            with self._lock:  # readers wait for each other here, for the time of one small read
+                if self._db is None:
+                    self._db = self.store.open_reading(check_same_thread=False)
+                row = self._db.execute("SELECT records FROM tiles WHERE tx = ? AND ty = ?", (tx, ty)).fetchone()
+        except sqlite3.Error as error:
+            raise StoreError(f"{self.store.path}: tile ({tx}, {ty}): {error}") from None
+        blob = None if row is None else row[0]
+        copy_known_rows(self.store.unpacked(tx, ty, index.digest[number].tobytes(), blob), records)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        with self._lock:
+            if self._db is not None:
+                with closing(self._db):
+                    self._db = None
+
+
+def set_index(rough_map: RoughMap, cut: Cut, stored: StoredTiles, places: I4) -> None:
+    """Fill an empty map with the stored tiles, which lie in ``places`` of its shelf, at the cut's sequence."""
+    index = stored.index
+    rough_map.set_sequence(cut.sequence)
+    try:
+        rough_map.load_shelved(index.tx, index.ty, index.oldest_ns, index.newest_ns, index.digest, places)
+    except ValueError as error:
+        raise damaged(stored.store, str(error)) from None
