@@ -4,13 +4,13 @@ import asyncio
 import logging
 import socket
 import threading
-from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from roughmap_schemas.sections import HttpConfig
 
 from .exposure import is_loopback
+from .http_token import HttpError, token_of
 from .readiness import Sources
 
 if TYPE_CHECKING:
@@ -20,25 +20,6 @@ log = logging.getLogger(__name__)
 
 CLOSE_SECONDS = 1.5
 """How long requests that run get at the end, and uvicorn to notice it."""
-
-
-class HttpError(Exception):
-    """The pages can't be served as configured; one line that names what to change."""
-
-
-def token_of(http: HttpConfig) -> bytes | None:
-    """The token that must be shown, from the environment or its file; None if there is none. HttpError."""
-    if http.token is not None:
-        return http.token.get_secret_value().encode()
-    if http.token_file is None:
-        return None
-    try:
-        token = Path(http.token_file).read_bytes().strip()
-    except OSError as error:
-        raise HttpError(f"http.token_file: {http.token_file}: {error.strerror}") from None
-    if not token:
-        raise HttpError(f"http.token_file: {http.token_file}: is empty; write a token of your own into it")
-    return token
 
 
 class HttpServer:

@@ -18,6 +18,8 @@ COMMANDS = {
     "simulate": "a rover on known ground that publishes scans and poses",
     "replay": "integrate a log again and compare it with what was logged",
     "query": "ask a running service for a region: table, PNG, NPZ",
+    "top": "watch a running service: rates, lag, rejections, robots, memory",
+    "health": "does the service work? one line, exit 0 or 1",
     "build": "make a map.db from recorded clouds, without a service",
     "config": "show, check or describe the configuration",
 }
@@ -115,7 +117,7 @@ _LATE = (
     ("roughmap_service.recovery", "IdentityError", 2),
     ("roughmap_service.replay", "ReplayError", 2),
     ("roughmap_service.transport", "TransportError", 1),
-    ("roughmap_service.http_server", "HttpError", 2),
+    ("roughmap_service.http_token", "HttpError", 2),
     ("roughmap_service.serve", "ServiceFailed", 1),
     ("roughmap_service.serve", "ServeError", 2),
 )

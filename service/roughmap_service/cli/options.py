@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import click
 
 from roughmap_schemas.config_load import LoadedConfig, load_config
-from roughmap_schemas.sections import ENDPOINT_PATTERN
+from roughmap_schemas.sections import ENDPOINT_PATTERN, ZenohConfig
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -94,6 +94,17 @@ connect_option = click.option(
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where `serve` listens unless told otherwise, so that the commands find it without an option."""
+
+
+def service_endpoints(connect: tuple[str, ...], zenoh: ZenohConfig) -> list[str]:
+    """What was given, else where the configured service listens, if its ports are known, else the router it joins."""
+    known = [reachable(endpoint) for endpoint in zenoh.listen if not re.search(r":0([?#]|$)", endpoint)]
+    return list(connect) or known or zenoh.connect or [DEFAULT_ENDPOINT]
+
+
+def reachable(address: str) -> str:
+    """An address to connect to, where the given one listens on: all addresses of this machine hold loopback's."""
+    return address.replace("0.0.0.0:", "127.0.0.1:").replace("[::]:", "[::1]:")
 
 
 def load_pictures() -> ModuleType:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from roughmap_service.cli.options import (
-    DEFAULT_ENDPOINT,
     BadUse,
     Failure,
     bounding_box,
@@ -17,11 +16,11 @@ from roughmap_service.cli.options import (
     json_option,
     load,
     load_pictures,
+    service_endpoints,
 )
 
 if TYPE_CHECKING:
     from roughmap_client import Region
-    from roughmap_schemas.sections import ZenohConfig
 
 PASSING = frozenset({"busy", "shutting_down", "internal"})
 """Refusals that are the service's own; all others are of what was asked."""
@@ -73,7 +72,7 @@ def query(
     draw = load_pictures().draw if png is not None else None  # before asking: say at once what is missing
     config = load(config_path, settings).config
     name = map_name or config.map.name
-    endpoints = _endpoints(connect, config.zenoh)
+    endpoints = service_endpoints(connect, config.zenoh)
     begun = time.perf_counter()
     try:
         with RoughMapClient(name, connect=endpoints, timeout=timeout, keys=config.keys) as client:
@@ -106,12 +105,6 @@ def query(
         click.echo(json.dumps(report))
     else:
         _table(report)
-
-
-def _endpoints(connect: tuple[str, ...], zenoh: "ZenohConfig") -> list[str]:
-    """What was given, else where the configured service listens, if its ports are known, else the router it joins."""
-    known = [endpoint for endpoint in zenoh.listen if not endpoint.endswith(":0")]
-    return list(connect) or known or zenoh.connect or [DEFAULT_ENDPOINT]
 
 
 def _save(file: Path, region: "Region", names: list[str]) -> None:

@@ -1,0 +1,83 @@
+"""`roughmap health`: does the service of this configuration work? One line, exit 0 or 1: what a container's health
+check runs, so nothing heavy is loaded while http is on."""
+
+import http.client
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from roughmap_schemas.config import Config
+from roughmap_service.cli.options import Failure, config_options, json_option, load, reachable, service_endpoints
+from roughmap_service.http_token import token_of
+
+TIMEOUT_S = 3.0
+
+MAX_ANSWER = 1 << 16
+"""Bytes of an answer that are read: whatever sends more is no readiness page."""
+
+
+@click.command
+@config_options
+@json_option
+def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], as_json: bool) -> int:
+    """roughmap health
+
+    Exit 0 if the service of this configuration works, 1 if it is not there, not ready or can't write its log; one line
+    says which. An overloaded service works: it keeps what it can and counts the rest. Asks the page /readyz, or over
+    Zenoh where http.listen is off or on a port that the system chooses.
+    """
+    config = load(config_path, settings).config
+    listen = config.http.listen
+    by_http = listen is not None and not listen.endswith(":0")
+    try:
+        problems = _ask_page(config) if by_http else _ask_status(config)
+    except Failure as error:
+        problems = {"not_there": error.message}
+    works = not problems.keys() - {"overloaded"}
+    if as_json:
+        click.echo(json.dumps({"works": works, "map": config.map.name, "problems": problems}))
+    else:
+        told = "; ".join(f"{name}: {cause}" if cause else name for name, cause in problems.items())
+        click.echo(f"{config.map.name}: {told or 'ok'}")
+    return 0 if works else 1
+
+
+def _ask_page(config: Config) -> dict[str, str]:
+    """The problems that the readiness page tells."""
+    where = reachable(config.http.listen or "")
+    token = token_of(config.http)
+    headers = {"Authorization": f"Bearer {token.decode()}"} if token else {}
+    connection = http.client.HTTPConnection(where, timeout=TIMEOUT_S)
+    try:
+        connection.request("GET", "/readyz", headers=headers)
+        response = connection.getresponse()
+        answer: Any = json.loads(response.read(MAX_ANSWER))
+        problems: dict[str, str] = dict(answer["problems"])
+    except OSError as error:
+        raise Failure(f"nobody answers on http://{where} ({error.strerror or error})") from None
+    except (http.client.HTTPException, ValueError, LookupError, TypeError):
+        raise Failure(f"what answers on http://{where} is no roughmap service; is http.listen right?") from None
+    finally:
+        connection.close()
+    return problems
+
+
+def _ask_status(config: Config) -> dict[str, str]:
+    """The problems that the status over Zenoh tells."""
+    from roughmap_client import RoughMapClient
+    from roughmap_client.errors import RoughMapError
+    from roughmap_service.cli.connection import open_client
+
+    endpoints = service_endpoints((), config.zenoh)
+    with open_client(config.zenoh, endpoints, TIMEOUT_S) as session:
+        try:
+            client = RoughMapClient(config.map.name, session=session, timeout=TIMEOUT_S, keys=config.keys)
+            status = client.status()
+        except RoughMapError as error:
+            raise Failure(f"{error}; is the map {config.map.name!r} served there?") from None
+    if status.health == "ok":
+        return {}
+    log = "" if status.log.ok else "the log can't be written"
+    return {str(status.health): log}

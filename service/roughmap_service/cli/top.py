@@ -1,0 +1,89 @@
+"""`roughmap top`: a running service, live in the terminal."""
+
+import contextlib
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from roughmap_service.cli.options import Failure, config_options, connect_option, json_option, load, service_endpoints
+
+if TYPE_CHECKING:
+    from roughmap_client import RoughMapClient
+    from roughmap_service.cli.top_frame import Robots
+
+PERIOD_S = 1.0
+"""As often as the service renews its status."""
+
+
+@click.command
+@click.option("--map", "map_name", help="The map's name; without it, the configuration's.")
+@connect_option
+@click.option("--timeout", type=click.FloatRange(0.1, 3600), default=5.0, show_default=True, help="Seconds.")
+@click.option("--once", is_flag=True, help="Print one frame and end.")
+@config_options
+@json_option
+def top(
+    map_name: str | None,
+    connect: tuple[str, ...],
+    timeout: float,
+    once: bool,
+    config_path: Path | None,
+    settings: tuple[tuple[str, object], ...],
+    as_json: bool,
+) -> None:
+    """roughmap top
+
+    Watch a running service: rates, lag, what was rejected and why, robots, memory, tiles, the log; once a second, until
+    Ctrl-C. With --json the status, a line a second. Robots are those heard of since top began.
+    """
+    from roughmap_client import NoAnswer, RoughMapClient
+    from roughmap_schemas.keys import Keys
+    from roughmap_service.cli.connection import open_client
+    from roughmap_service.cli.top_frame import Robots
+
+    config = load(config_path, settings).config
+    name = map_name or config.map.name
+    robots = Robots()
+    with open_client(config.zenoh, service_endpoints(connect, config.zenoh), timeout) as session:
+        session.declare_subscriber(
+            Keys(name, config.keys).events, lambda sample: robots.take(sample.payload.to_bytes())
+        )
+        client = RoughMapClient(name, session=session, timeout=timeout, keys=config.keys)
+        try:
+            client.status()
+            with contextlib.suppress(KeyboardInterrupt):  # the way out
+                _watch(client, robots, once=once, as_json=as_json)
+        except NoAnswer as error:
+            raise Failure(f"{error}; is the map {name!r} served there? (--connect, --map)") from error
+
+
+def _watch(client: "RoughMapClient", robots: "Robots", *, once: bool, as_json: bool) -> None:
+    from rich.console import Console
+    from rich.live import Live
+
+    from roughmap_client import NoAnswer
+    from roughmap_schemas.messages import model_bytes
+    from roughmap_service.cli.top_frame import frame
+
+    console, pause = Console(highlight=False), threading.Event()
+    once = once or not (as_json or console.is_terminal)  # in a pipe, one frame is of use and a film is not
+    pause.wait(PERIOD_S)  # for the robots to be heard
+    if as_json or once:
+        while True:
+            status = client.status()
+            if as_json:
+                click.echo(model_bytes(status).decode())
+            else:
+                console.print(frame(status, robots.rows(), 0.0))
+            if once or pause.wait(PERIOD_S):
+                return
+    status, seen = client.status(), time.monotonic()
+    with Live(console=console, screen=True, auto_refresh=False) as live:
+        while True:
+            with contextlib.suppress(NoAnswer):  # it may come back; until then the frame says for how long it is gone
+                status, seen = client.status(timeout=PERIOD_S), time.monotonic()
+            live.update(frame(status, robots.rows(), time.monotonic() - seen), refresh=True)
+            pause.wait(PERIOD_S)

@@ -1,0 +1,180 @@
+"""A frame of `roughmap top`: the status and the robots, as tables."""
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from roughmap_schemas import IntegrationEvent, decode_event
+from roughmap_schemas.faults import ContractError
+from roughmap_schemas.messages import MapStatus
+
+WINDOW_S = 10.0
+"""Seconds over which a robot's rates are told, as the status tells the map's."""
+
+MAX_ROBOTS = 256
+"""Robots that are listed: as many as a service hears."""
+
+MAX_EVENTS = 4096
+"""Events of a robot that are remembered for its rates."""
+
+STYLES = {"ok": "bold green", "overloaded": "bold yellow", "degraded": "bold red"}
+
+
+@dataclass
+class Robot:
+    """What was heard of one robot's clouds."""
+
+    recent: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=MAX_EVENTS))
+    integrated: int = 0
+    rejected: Counter[str] = field(default_factory=Counter)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One robot's line: rates over the last seconds, counts since the command began."""
+
+    name: str
+    clouds_per_s: float
+    points_per_s: float
+    integrated: int
+    rejected: Mapping[str, int]
+
+
+class Robots:
+    """Gathers what the service publishes of clouds, by robot."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._robots: dict[str, Robot] = {}
+
+    def take(self, payload: bytes) -> None:
+        """One event, as published."""
+        try:
+            event = decode_event(payload)
+        except ContractError:
+            return  # of a release that knows other events
+        if not isinstance(event, IntegrationEvent):
+            return
+        with self._lock:
+            if event.robot not in self._robots and len(self._robots) >= MAX_ROBOTS:
+                return
+            robot = self._robots.setdefault(event.robot, Robot())
+            if event.accepted:
+                robot.integrated += 1
+                robot.recent.append((time.monotonic(), event.accepted))
+            else:
+                robot.rejected[str(event.outcome)] += 1
+
+    def rows(self) -> list[Row]:
+        """The robots by name."""
+        since = time.monotonic() - WINDOW_S
+        with self._lock:
+            rows = []
+            for name, robot in sorted(self._robots.items()):
+                recent = [points for at, points in robot.recent if at >= since]
+                rates = len(recent) / WINDOW_S, sum(recent) / WINDOW_S
+                rows.append(Row(name, *rates, robot.integrated, dict(robot.rejected)))
+            return rows
+
+
+def frame(status: MapStatus, robots: list[Row], silent_s: float) -> RenderableType:
+    """All of it. ``silent_s`` is for how long the service has not answered."""
+    parts: list[RenderableType] = [_head(status, silent_s), Text(), _flow(status), Text(), _resources(status)]
+    if rejected := _rejected(status):
+        parts += [Text(), rejected]
+    if robots or status.gaps or status.jumps:
+        parts += [Text(), _robots(status, robots)]
+    return Group(*parts)
+
+
+def _head(status: MapStatus, silent_s: float) -> Text:
+    head = Text.assemble(
+        (status.map, "bold"), "  ", (status.health, STYLES[status.health]), f"  sequence {status.sequence:,}",
+        f" ({status.durable_sequence:,} on the disk)  epoch {status.epoch}  up {_duration(status.uptime_s)}",
+        f"  roughmap {status.version}, instance {status.instance[:8]}",
+    )  # fmt: skip
+    if silent_s >= 2.0:
+        head.append(f"\nno answer for {silent_s:.0f} s; what follows is from before", "bold red")
+    return head
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for number, column in enumerate(columns):
+        table.add_column(column, justify="right" if number else "left", header_style="dim")
+    return table
+
+
+def _flow(status: MapStatus) -> Table:
+    clouds, points, poses = status.clouds, status.points, status.poses
+    table = _table("", "a second", "accepted", "rejected", "waiting")
+    rows = (("clouds", clouds, f"{clouds.waiting:,}"), ("points", points, ""), ("poses", poses, ""))
+    for name, counts, waiting in rows:
+        rate = getattr(status.rates, name)
+        told = f"{rate:,.0f}" if name == "points" else f"{rate:.1f}"
+        table.add_row(name, told, f"{counts.accepted:,}", f"{sum(counts.rejected.values()):,}", waiting)
+    table.add_row("refused", "", "", f"{sum(status.refused.values()):,}", "")
+    return table
+
+
+def _resources(status: MapStatus) -> Table:
+    lag, tiles, log = status.lag_s, status.tiles, status.log
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column(style="dim")
+    table.add_column()
+    known = lag.p50 is not None and lag.p99 is not None
+    told = f"{(lag.p50 or 0) * 1e3:.1f} ms, p99 {(lag.p99 or 0) * 1e3:.1f} ms" if known else "no clouds in 10 s"
+    table.add_row("lag", told)
+    table.add_row("memory", _bytes(status.memory_bytes))
+    extent = ""
+    if status.extent is not None:
+        xmin, ymin, xmax, ymax = status.extent
+        extent = f", {xmax - xmin:,.0f} x {ymax - ymin:,.0f} m"
+    table.add_row("tiles", f"{tiles.resident:,} in memory, {tiles.spilled:,} spilled{extent}")
+    fault = "" if log.ok else ", CAN'T BE WRITTEN"
+    table.add_row("log", Text(f"{log.file or 'none'}, {_bytes(log.bytes)}{fault}", "" if log.ok else "bold red"))
+    return table
+
+
+def _rejected(status: MapStatus) -> Table | None:
+    kinds: dict[str, Mapping[str, int]] = {
+        "cloud": {str(k): n for k, n in status.clouds.rejected.items()},
+        "point": {str(k): n for k, n in status.points.rejected.items()},
+        "pose": {str(k): n for k, n in status.poses.rejected.items()},
+        "refused": {str(k): n for k, n in status.refused.items()},
+    }
+    rows = [(kind, reason, n) for kind, counts in kinds.items() for reason, n in counts.items() if n]
+    if not rows:
+        return None
+    table = _table("rejected", "reason", "number")
+    for kind, reason, n in rows:
+        table.add_row(kind, reason, f"{n:,}")
+    return table
+
+
+def _robots(status: MapStatus, robots: list[Row]) -> Table:
+    table = _table("robot", "clouds/s", "points/s", "integrated", "rejected", "gaps", "jumps")
+    known = {row.name: row for row in robots}
+    for name in sorted({*known, *status.gaps, *status.jumps}):
+        row = known.get(name, Row(name, 0.0, 0.0, 0, {}))
+        rejected = ", ".join(f"{reason} {n:,}" for reason, n in row.rejected.items()) or "0"
+        counts = (f"{n:,}" for n in (status.gaps.get(name, 0), status.jumps.get(name, 0)))
+        table.add_row(
+            name, f"{row.clouds_per_s:.1f}", f"{row.points_per_s:,.0f}", f"{row.integrated:,}", rejected, *counts
+        )
+    return table
+
+
+def _bytes(number: int) -> str:
+    return f"{number / 2**30:.2f} GiB" if number >= 1 << 30 else f"{number / 2**20:.1f} MiB"
+
+
+def _duration(seconds: float) -> str:
+    hours, rest = divmod(int(seconds), 3600)
+    return f"{hours}:{rest // 60:02d}:{rest % 60:02d}"

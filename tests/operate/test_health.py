@@ -1,0 +1,84 @@
+"""`roughmap health` by the readiness page: which problems are a failure, and what is said when nobody answers."""
+
+import json
+import socket
+import threading
+from pathlib import Path
+
+import pytest
+from operate_pages import pages
+
+from roughmap_service.cli.main import run
+from roughmap_service.readiness import Problem, Readiness, Sources, running_problems
+
+TOKEN = "the token of this page"
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def health(listen: str, *arguments: str) -> int:
+    return run(["health", "--set", f"http.listen={listen}", *arguments])
+
+
+@pytest.mark.parametrize("problem", [None, *Problem])
+def test_an_overload_is_no_failure_and_all_else_is(
+    problem: Problem | None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    readiness = Readiness()
+    readiness.become(lambda: {problem: "for a cause"} if problem else {})
+    monkeypatch.setenv("ROUGHMAP_HTTP__TOKEN", TOKEN)
+    with pages(Sources(readiness), token=TOKEN) as server:
+        code = health(server.url.removeprefix("http://"))
+    assert code == (0 if problem in (None, Problem.OVERLOADED) else 1)
+    assert capsys.readouterr().out == f"site: {problem}: for a cause\n" if problem else "site: ok\n"
+
+
+def test_nobody_there_is_a_failure_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    assert health(f"127.0.0.1:{port}") == 1
+    assert (
+        capsys.readouterr().out == f"site: not_there: nobody answers on http://127.0.0.1:{port} (Connection refused)\n"
+    )
+
+
+@pytest.mark.parametrize(
+    "answer", [b"", b"220 a mail server\r\n", b"HTTP/1.1 200 OK\r\n\r\n<html>", b"HTTP/1.1 200 OK\r\n\r\n[]"]
+)
+def test_another_program_on_the_port_is_no_service(answer: bytes, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+
+        def serve() -> None:
+            connection, _ = other.accept()
+            with connection:
+                connection.recv(4096)
+                connection.sendall(answer)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        assert health(f"127.0.0.1:{other.getsockname()[1]}", "--json") == 1
+        thread.join()
+    assert "roughmap service" in json.loads(capsys.readouterr().out)["problems"]["not_there"]
+
+
+def test_what_a_running_service_can_suffer_from() -> None:
+    well = {
+        "alive": True,
+        "turned": float("inf"),
+        "failure": None,
+        "log_ok": True,
+        "log_error": "",
+        "overloaded": False,
+    }
+
+    def found(**changed: object) -> dict[Problem, str]:
+        return running_problems(**{**well, **changed})  # type: ignore[arg-type]
+
+    assert found() == {}
+    assert list(found(alive=False, failure=ValueError("a cause"))) == [Problem.SEQUENCER_DEAD]
+    assert "a cause" in found(alive=False, failure=ValueError("a cause"))[Problem.SEQUENCER_DEAD]
+    assert list(found(turned=float("-inf"))) == [Problem.SEQUENCER_STALLED]
+    assert list(found(log_ok=False, overloaded=True)) == [Problem.LOG_NOT_WRITABLE, Problem.OVERLOADED]

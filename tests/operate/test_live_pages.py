@@ -1,0 +1,128 @@
+"""A service that runs: its pages, its log lines, `health` and `top`, beside the status that it gives over Zenoh."""
+
+import json
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from net import wait_for
+from processes import LEVEL, PRECISE, READY_S, T0, Feed, Service, connected, read_log
+
+from roughmap_schemas import MapStatus, encode_odometry
+from roughmap_service.cli.main import run
+
+TOKEN = "never to be seen anywhere"
+
+
+@dataclass
+class Running:
+    """A service, a session with it, and where it is."""
+
+    service: Service
+    feed: Feed
+    url: str
+    endpoint: str
+
+    def page(self, path: str) -> bytes:
+        request = urllib.request.Request(self.url + path, headers={"Authorization": f"Bearer {TOKEN}"})
+        with urllib.request.urlopen(request, timeout=30) as response:
+            body: bytes = response.read()
+            return body
+
+    def metric(self, name: str) -> float:
+        lines = self.page("/metrics").decode().splitlines()
+        return next(float(line.rpartition(" ")[2]) for line in lines if line.rpartition(" ")[0] == name)
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    """One cloud integrated, one refused, three messages missing."""
+    folder = tmp_path_factory.mktemp("watch")
+    (folder / "token").write_text(TOKEN)
+    http = {"listen": "127.0.0.1:0", "token_file": str(folder / "token")}
+    with Service(folder, http=http, log={"directory": str(folder / "log"), "max_file_age": 3600}) as service:
+        ready = service.ready()
+        with connected(service) as feed:
+            for number, stamp in ((1, T0), (5, T0 + 10**8)):
+                pose = encode_odometry(stamp, "map", (0.0, 0.0, 0.0), LEVEL, PRECISE)
+                feed.put("odometry", "rover1", pose, attachment=number.to_bytes(8, "little"))
+            feed.decided(feed.cloud("rover1", T0 + 5 * 10**7))
+            feed.refused("points", "rover1", b"no cloud")
+            feed.settle()
+            yield Running(service, feed, ready["http"], ready["endpoints"][0])
+
+
+def test_the_pages_say_what_the_status_says(live: Running) -> None:
+    status = live.feed.client.status()
+    assert json.loads(live.page("/readyz")) == {"ready": True, "problems": {}}
+    assert live.metric("roughmap_points_accepted_total") == status.points.accepted == 4
+    assert live.metric('roughmap_messages_refused_total{reason="bad_message"}') == status.refused["bad_message"]
+    assert live.metric('roughmap_messages_missing_total{robot="rover1"}') == status.gaps["rover1"] == 3
+    assert live.metric("roughmap_sequence") == status.sequence == 1
+    assert live.metric("roughmap_integration_seconds_count") == live.metric("roughmap_lag_seconds_count") == 1
+    assert live.metric("roughmap_log_sync_seconds_count") > 0
+    assert live.metric("roughmap_disk_bytes" + '{what="log"}') > 0
+    before = live.metric('roughmap_query_seconds_count{outcome="ok"}')
+    live.feed.client.region((0, 0, 1, 1), ["mean_height"])
+    assert live.metric('roughmap_query_seconds_count{outcome="ok"}') == before + 1
+    assert b"<h1>roughmap" in live.page("/")
+
+
+def asked(live: Running, command: str, *arguments: str, listen: str) -> int:
+    return run([command, *arguments, "--set", f'zenoh.listen=["{live.endpoint}"]', "--set", f"http.listen={listen}"])
+
+
+def test_health_asks_the_page_or_over_zenoh(
+    live: Running, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for listen in (live.url.removeprefix("http://"), '""', "127.0.0.1:0"):
+        assert asked(live, "health", listen=listen) == 0
+        assert capsys.readouterr().out == "site: ok\n", listen
+    assert asked(live, "health", "--set", "map.name=other", "--json", listen='""') == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["works"] is False
+    assert "is the map 'other' served there?" in told["problems"]["not_there"]
+
+
+def test_top_prints_a_frame(
+    live: Running, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+    assert asked(live, "top", "--once", listen='""') == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert lines[0][:4] == ["site", "ok", "sequence", "1"]
+    assert ["points", "0", "4", "0"] in lines
+    assert ["refused", "bad_message", "1"] in lines
+    assert ["rover1", "0.0", "0", "0", "0", "3", "0"] in lines, "a robot of which only a gap is known"
+    assert asked(live, "top", "--once", "--json", listen='""') == 0
+    assert MapStatus.model_validate_json(capsys.readouterr().out).points.accepted == 4
+    assert asked(live, "top", "--once", "--map", "other", "--timeout", "0.3", listen='""') == 1
+    assert "is the map 'other' served there?" in capsys.readouterr().err
+
+
+def test_log_lines_tell_the_events_and_nothing_tells_the_token(live: Running) -> None:
+    assert live.service.stop() == 0
+    lines: list[dict[str, Any]] = [json.loads(line) for line in live.service.err]
+    told = {line["event"]: line for line in lines if line.get("event")}
+    assert list(told) == ["start", "map_recovered", "ready", "robot", "gap", "shutdown", "end"]
+    assert told["ready"]["http"] == live.url
+    assert (told["gap"]["robot"], told["gap"]["missing"]) == ("rover1", 3)
+    assert (told["shutdown"]["points"], told["shutdown"]["refused"]) == (4, {"bad_message": 1})
+    assert told["end"]["signal"] == "SIGTERM"
+    assert read_log(live.service.log)
+    kept = b"".join(path.read_bytes() for path in live.service.log.glob("*.mcap"))
+    assert TOKEN.encode() not in kept
+    assert not any(TOKEN in line for line in [*live.service.out, *live.service.err])
+
+
+def test_a_start_that_would_open_the_pages_to_the_network_is_refused(tmp_path: Path) -> None:
+    with Service(tmp_path, http={"listen": "0.0.0.0:0"}) as service:
+        wait_for(service._told, "its end", READY_S)
+        assert service.finished() == 2
+        (line,) = [line for line in service.err if not line.startswith("{")]
+        assert "http.listen: 0.0.0.0:0 is open to the network" in line
