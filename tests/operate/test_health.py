@@ -46,7 +46,7 @@ def test_nobody_there_is_a_failure_in_one_line(capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.parametrize(
-    "answer", [b"", b"220 a mail server\r\n", b"HTTP/1.1 200 OK\r\n\r\n<html>", b"HTTP/1.1 200 OK\r\n\r\n[]"]
+    "answer", [b"220 a mail server\r\n", b"HTTP/1.1 200 OK\r\n\r\n<html>", b"HTTP/1.1 200 OK\r\n\r\n[]"]
 )
 def test_another_program_on_the_port_is_no_service(answer: bytes, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
