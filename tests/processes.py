@@ -93,16 +93,19 @@ def configuration(directory: Path, settings: Mapping[str, Any]) -> Path:
 class Service:
     """One `roughmap serve`; a context manager that kills it if it is still there at the end.
 
-    ``settings`` are sections over the tests' defaults: ``Service(tmp, map={"cell_size": 0.2})``.
+    ``settings`` are sections over the tests' defaults: ``Service(tmp, map={"cell_size": 0.2})``; ``environ`` is added
+    to the environment.
     """
 
-    def __init__(self, directory: Path, *arguments: str, **settings: Mapping[str, Any]) -> None:
+    def __init__(
+        self, directory: Path, *arguments: str, environ: Mapping[str, str] | None = None, **settings: Mapping[str, Any]
+    ) -> None:
         self.directory = directory
         self.log = directory / "log"
         config = configuration(directory, settings)
         self.process = subprocess.Popen(
             [*COMMAND, "serve", "-c", str(config), *arguments],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment(),
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**environment(), **(environ or {})},
         )  # fmt: skip
         self.out: list[str] = []
         self.err: list[str] = []

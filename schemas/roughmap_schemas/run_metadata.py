@@ -4,12 +4,21 @@ import json
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
 
+import xxhash
 from pydantic import Field, ValidationError
 
 from roughmap_schemas.messages import BadJson, Hex32, Message, Number
 
 RECORD_NAME: Final = "roughmap"
 """The name of the MCAP metadata record."""
+
+
+CHECKSUM: Final = "checksum"
+
+
+def _checksum(entries: Mapping[str, str]) -> str:
+    """XXH3-128 over the entries, by name."""
+    return xxhash.xxh3_128_hexdigest(json.dumps(sorted(entries.items())).encode())
 
 
 class RunMetadata(Message):
@@ -36,23 +45,29 @@ class RunMetadata(Message):
     def to_record(self) -> dict[str, str]:
         """Give the record's entries: MCAP metadata maps strings to strings."""
         values = self.model_dump(mode="json")
-        return {
+        entries = {
             name: json.dumps(value, allow_nan=False, sort_keys=True) if name == "configuration" else str(value)
             for name, value in values.items()
         }
+        return {**entries, CHECKSUM: _checksum(entries)}
 
     @classmethod
     def from_record(cls, record: Mapping[str, str]) -> Self:
         """Read the record's entries; raises ``BadJson``, which names the first that is missing or wrong.
 
-        Entries that this version doesn't know are passed over: a log may be read by an older reader.
+        Entries that this version doesn't know are passed over: a log may be read by an older reader. A checksum over
+        all others is looked at where there is one, since MCAP has none over a metadata record.
         """
         values: dict[str, object] = {name: record[name] for name in cls.model_fields if name in record}
         try:
             values["configuration"] = json.loads(record.get("configuration", ""))
-            return cls.model_validate(values)
+            found = cls.model_validate(values)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             raise BadJson(f"metadata record roughmap: {first['loc'][0]}: {first['msg']}") from None
         except (ValueError, RecursionError):
             raise BadJson("metadata record roughmap: configuration: expected a JSON object") from None
+        entries = {name: value for name, value in record.items() if name != CHECKSUM}
+        if record.get(CHECKSUM, _checksum(entries)) != _checksum(entries):
+            raise BadJson("metadata record roughmap: its checksum does not hold")
+        return found

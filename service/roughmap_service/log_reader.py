@@ -1,6 +1,7 @@
 """Reading the log back, in file order, with memory for one chunk at a time."""
 
 import contextlib
+import os
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,6 +20,9 @@ from roughmap_schemas.run_metadata import RECORD_NAME
 
 from .log_file import INPUTS, Kind
 
+MAGIC = bytes([137, 77, 67, 65, 80, 48, 13, 10])
+"""With which an MCAP file begins, and ends if it was closed."""
+
 MAX_RECORD_BYTES = 1 << 30
 """No record and no unpacked chunk is larger; a damaged length must not become an allocation."""
 
@@ -28,6 +32,14 @@ _DAMAGE = (McapError, struct.error, ValueError, zlib.error, zstandard.ZstdError,
 
 class LogError(Exception):
     """A log that can't be read as one; one line that names the file and what is wrong with it."""
+
+
+class DamagedLog(LogError):
+    """A file whose bytes are not what was written, though it was closed in order, or its beginning is not."""
+
+    def __init__(self, path: Path, message: str) -> None:
+        super().__init__(f"{path}: {message}")
+        self.path = path
 
 
 class TornLog(LogError):
@@ -68,11 +80,20 @@ class EventRecord:
 LogItem = FileStart | InputRecord | EventRecord
 
 
+def is_closed(path: Path) -> bool:
+    """Whether a file ends as one that was closed; such a file is never appended to."""
+    with path.open("rb") as stream:
+        if stream.seek(0, os.SEEK_END) < 2 * len(MAGIC):
+            return False
+        stream.seek(-len(MAGIC), os.SEEK_END)
+        return stream.read() == MAGIC
+
+
 def raw_records(path: Path) -> Iterator[tuple[McapRecord, int]]:
     """Schemas, channels, messages and metadata of a file's data section in file order, each with the byte behind it
     (of a record in a chunk: behind the chunk).
 
-    TornLog at a tear, LogError at damage (checksums are verified) or if the file is none of ours.
+    TornLog at a tear, DamagedLog at damage (checksums are verified) or if the file is none of ours.
     """
     with path.open("rb") as stream:
         try:
@@ -84,19 +105,28 @@ def raw_records(path: Path) -> Iterator[tuple[McapRecord, int]]:
                 if not isinstance(record, Chunk):
                     yield record, end
                 elif record.uncompressed_size > MAX_RECORD_BYTES:
-                    raise LogError(f"{path}: a chunk of {record.uncompressed_size} bytes (at most {MAX_RECORD_BYTES})")
+                    raise DamagedLog(path, f"a chunk of {record.uncompressed_size} bytes (at most {MAX_RECORD_BYTES})")
                 else:
                     for inner in breakup_chunk(record, validate_crc=True):
                         yield inner, end
         except EndOfFile:
-            raise TornLog(f"{path}: the file ends before its footer") from None
+            raise _end_of(path) from None
         except _DAMAGE as error:
             if isinstance(error, struct.error | UnicodeDecodeError) and not stream.read(1):
                 # The library tells an end at a field's beginning from damage, but not one in the midst of a field.
-                raise TornLog(f"{path}: the file ends before its footer") from None
-            raise LogError(
-                f"{path}: damaged at or before byte {stream.tell()}: {error or type(error).__name__}"
-            ) from None
+                raise _end_of(path) from None
+            raise DamagedLog(path, f"damaged at or before byte {stream.tell()}: {_told(error)}") from None
+
+
+def _end_of(path: Path) -> LogError:
+    """What it means that a file's records go on past its end."""
+    if is_closed(path):
+        return DamagedLog(path, "damaged: a record goes on past the end, though the file was closed in order")
+    return TornLog(f"{path}: the file ends before its footer")
+
+
+def _told(error: Exception) -> str:
+    return str(error) or type(error).__name__
 
 
 def read_metadata(path: Path) -> RunMetadata:
@@ -108,7 +138,7 @@ def read_metadata(path: Path) -> RunMetadata:
             if isinstance(record, Message):
                 break
     except ContractError as error:
-        raise LogError(f"{path}: {error}") from None
+        raise DamagedLog(path, str(error)) from None
     raise LogError(f"{path}: no log of roughmap (its metadata record '{RECORD_NAME}' is missing)")
 
 

@@ -10,30 +10,20 @@ from mcap.writer import CompressionType, Writer
 
 from .disk import sync_directory
 from .log_file import CHUNK_BYTES, PROFILE
-from .log_reader import LogError, raw_records
+from .log_reader import DamagedLog, LogError, is_closed, raw_records, read_metadata
 
 log = logging.getLogger(__name__)
 
-MAGIC = bytes([137, 77, 67, 65, 80, 48, 13, 10])
 
-
-def is_closed(path: Path) -> bool:
-    """Whether a file ends as one that was closed; such a file is never changed."""
-    with path.open("rb") as stream:
-        if stream.seek(0, os.SEEK_END) < 2 * len(MAGIC):
-            return False
-        stream.seek(-len(MAGIC), os.SEEK_END)
-        return stream.read() == MAGIC
-
-
-def repair(path: Path) -> Path | None:
+def repair(path: Path, *, damaged: bool = False) -> Path | None:
     """Rewrite a torn file up to its last whole record, with a footer; the torn rest is kept as ``FILE.torn``.
 
     Returns that file's path, or None if there is no rest: the file was closed, or the kill came between two records. A
     file whose beginning was never written holds nothing of the run and becomes the ``.torn`` as a whole. The new file
-    is on the disk before it takes the old one's name, so that a kill in here leaves the one or the other.
+    is on the disk before it takes the old one's name, so that a kill in here leaves the one or the other. With
+    ``damaged`` a closed file is rewritten too.
     """
-    if is_closed(path):
+    if is_closed(path) and not damaged:
         return None
     torn = path.with_name(path.name + ".torn")
     whole = path.with_name(path.name + ".part")
@@ -58,8 +48,26 @@ def repair(path: Path) -> Path | None:
         whole.rename(path)
     sync_directory(path.parent)
     where = f"the rest is in {torn.name}" if over else "nothing was torn"
-    log.warning("%s had no footer: %s whole bytes kept, %s", path.name, end, where)
+    what = "is damaged" if damaged else "had no footer"
+    log.warning("%s %s: %s whole bytes kept, %s", path.name, what, end, where)
     return torn if over else None
+
+
+def end_at_damage(damage: DamagedLog) -> None:
+    """Make a run end before a damage in one of its files: nothing behind it can be placed as it was.
+
+    The damaged file keeps what is whole before the damage; the rest of it, and the files behind it, stay beside it
+    under other names (``.torn``, ``.behind``). DamagedLog again if nothing of the run would be left.
+    """
+    path = damage.path
+    files = sorted(path.parent.glob(path.name.rpartition("-")[0] + "-*.mcap"))  # names sort as files were written
+    if path == files[0]:
+        read_metadata(path)
+    for behind in files[: files.index(path) : -1]:  # the last first: a kill in here leaves no gap
+        behind.rename(behind.with_name(behind.name + ".behind"))
+        log.error("%s lies behind a damage, and is %s.behind now", behind.name, behind.name)
+    sync_directory(path.parent)
+    repair(path, damaged=True)
 
 
 def _copy(path: Path, writer: Writer) -> int:

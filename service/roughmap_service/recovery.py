@@ -17,6 +17,7 @@ from .fold import fold
 from .ingest import Duplicates
 from .log_file import Kind
 from .log_reader import (
+    DamagedLog,
     FileStart,
     InputRecord,
     LogError,
@@ -28,10 +29,10 @@ from .log_reader import (
     read_metadata,
     read_run,
 )
-from .log_repair import repair
+from .log_repair import end_at_damage, repair
 from .memory import Memory
 from .settings import Settings, new_map
-from .store import Cut, OtherStateVersion, Store, StoreError
+from .store import Cut, DamagedStore, OtherStateVersion, Store, StoreError
 from .stored_tiles import StoredTiles, set_index
 
 log = logging.getLogger(__name__)
@@ -81,10 +82,34 @@ def recover(
 ) -> Recovered:
     """Bring back the log directory's newest run, from the store's cut if there is one, else from its beginning.
 
-    With ``memory`` the store's tiles stay in the store until they are needed, and tiles leave memory at its limit.
-    LogError, StoreError, RunError or IdentityError, each one line, where the map can't be had again; Stopped once
-    ``stop`` is set.
+    With ``memory`` the store's tiles stay in the store until they are needed, and tiles leave memory at its limit. A
+    damaged log ends before the damage, a damaged store is built anew, if the log reaches back to the run's beginning;
+    what was damaged is named and kept. LogError, StoreError, RunError or IdentityError, each one line, where the map
+    can't be had again; Stopped once ``stop`` is set.
     """
+    while True:
+        try:
+            return _recover(config, directory, store, _Watch(progress, stop or threading.Event(), memory))
+        except DamagedLog as damage:
+            log.error("%s; the run goes on from what lies before it", damage)
+            end_at_damage(damage)
+        except DamagedStore as damage:
+            if store is None or not put_away(store, directory, str(damage)):
+                raise
+            if memory is not None:
+                memory.spill.failure, memory.spill.store_damaged = "", False
+
+
+def put_away(store: Store, directory: Path, damage: str) -> bool:
+    """Rename a damaged store, so that the next start builds the map anew; False if the log does not reach that far."""
+    files = newest_run(directory, None)
+    if not files or files[0].metadata.first_record > 1:
+        return False
+    log.error("%s; it is %s now, and the map is built anew from the log", damage, store.put_away())
+    return True
+
+
+def _recover(config: Config, directory: Path, store: Store | None, watch: "_Watch") -> Recovered:
     outdated = False
     cut: Cut | None = None
     if store is not None:
@@ -93,12 +118,11 @@ def recover(
         except OtherStateVersion as error:
             log.warning("%s; it is built anew from the log", error)
             outdated = True
-    files = newest_run(directory, None if cut is None else cut.run)
+    files = newest_run(directory, cut)
     if files:
         check_identity(config, files[-1].metadata.configuration, files[-1].path)
     elif outdated:
         raise LogError(f"{directory}: no log to build the store of another version anew from; start with --fresh")
-    watch = _Watch(progress, stop or threading.Event(), memory)
     result, end = _bring_back(config, store, cut, files, watch)
     if cut is not None and files and end < cut.record:
         log.warning("the log ends at record %d, the store's cut is at %d: the map is that of the log", end, cut.record)
@@ -124,14 +148,24 @@ def _bring_back(
     """The run as of the end of its files, begun at the cut, if any; and the last record that the files hold."""
     result = blank(config, watch.memory)
     result.cut = cut
+    try:
+        return result, _fill(result, config, store, files, watch)
+    except BaseException:
+        result.state.map.reset()  # so that it lets go of what it holds outside memory
+        raise
+
+
+def _fill(result: Recovered, config: Config, store: Store | None, files: list[RunFile], watch: _Watch) -> int:
+    """Take up the cut and the files; the last record that the files hold."""
+    cut = result.cut
     taken, low_water = 0, 1
     if cut is not None and store is not None:
         taken, low_water = cut.record, cut.low_water
         _take_cut(config, store, cut, result, watch.memory)
     if not files:
-        return result, 0
+        return 0
     first, last = files[0].metadata, files[-1].metadata
-    if first.first_record > taken + 1 or first.first_input > low_water:
+    if not _goes_on(files[0], taken, low_water):
         begun = "there is no store to begin from" if cut is None else f"the store ends at record {cut.record}"
         raise LogError(
             f"{files[0].path.name} begins at record {first.first_record}, input {first.first_input}, and {begun}; "
@@ -144,7 +178,7 @@ def _bring_back(
     end = _fold_files(result, files, taken, low_water, watch)
     result.epoch = max(result.epoch, result.state.epoch + 1)
     result.state.use(Settings(config))
-    return result, end
+    return end
 
 
 def blank(config: Config, memory: Memory | None = None) -> Recovered:
@@ -163,21 +197,45 @@ def begin_anew(config: Config, directory: Path, memory: Memory | None = None) ->
     return result
 
 
-def newest_run(directory: Path, run: str | None) -> list[RunFile]:
-    """The files of ``run``, or of the newest run there; files that a kill left torn are repaired first."""
+def newest_run(directory: Path, cut: Cut | None) -> list[RunFile]:
+    """The files of the cut's run, or of the newest run there; files that a kill left torn are repaired first.
+
+    Without those that can't be read and that the cut doesn't need; DamagedLog for one that is needed.
+    """
     ours = [path for path in sorted(directory.glob("*.mcap")) if FILE_NAME.fullmatch(path.name)]
+    files: list[RunFile] = []
+    unreadable: list[DamagedLog] = []
     for path in ours:  # a foreign file is not ours to change
         repair(path)
-    files = find_files([path for path in ours if path.exists()])  # one that holds nothing was renamed by the repair
+        if path.exists():  # one that holds nothing was renamed by the repair
+            try:
+                files += find_files([path])
+            except DamagedLog as damage:
+                unreadable.append(damage)
     if not files:
+        if unreadable:
+            raise unreadable[0]
         return []
     newest = max(files, key=lambda file: file.metadata.created_ns).metadata.run
-    if run is not None and run != newest:
+    if cut is not None and cut.run != newest:
         raise StoreError(
-            f"the store is of run {run[:8]}, the newest log of run {newest[:8]}; move one of them away, "
+            f"the store is of run {cut.run[:8]}, the newest log of run {newest[:8]}; move one of them away, "
             "or start with --fresh"
         )
-    return one_run([file for file in files if file.metadata.run == newest])
+    files = [file for file in files if file.metadata.run == newest]
+    for fault in unreadable:
+        if newest not in fault.path.name:
+            continue
+        files = [file for file in files if file.path > fault.path]
+        if cut is None or not files or not _goes_on(files[0], cut.record, cut.low_water):
+            raise fault
+        log.error("%s; the store does not need it", fault)
+    return one_run(files)
+
+
+def _goes_on(file: RunFile, taken: int, low_water: int) -> bool:
+    """Whether nothing is missing between a cut and the file's beginning."""
+    return file.metadata.first_record <= taken + 1 and file.metadata.first_input <= low_water
 
 
 def check_identity(config: Config, stored: dict[str, object], where: Path) -> None:
@@ -207,6 +265,8 @@ def _take_cut(config: Config, store: Store, cut: Cut, result: Recovered, memory:
     else:
         stored = StoredTiles(store)
         set_index(state.map, cut, stored, memory.spill.adopt(stored))
+    if cut.digest and state.map.digest() != cut.digest:
+        raise DamagedStore(f"{store.path}: damaged (its tiles are not those of its cut)")
     state.epoch, state.input, state.record = cut.epoch, cut.input, cut.record
     for robot, buffer in cut.poses.items():
         state.buffer(robot).load_state(buffer)

@@ -41,7 +41,7 @@ from .logs import note
 from .memory import Memory
 from .readiness import Readiness, Sources, running_problems
 from .recovery import Progress as RecoveryProgress
-from .recovery import Recovered, Stopped, begin_anew, recover
+from .recovery import Recovered, Stopped, begin_anew, put_away, recover
 from .sequencer import Intervals, Sequencer
 from .snapshots import Snapshots, cut_of
 from .spill import Spill
@@ -116,7 +116,11 @@ def serve(
         text = f"the map is back at sequence {sequence}, epoch {epoch}; {len(recovered.undecided)} clouds are undecided"
         note(log, logging.INFO, "map_recovered", text, sequence=sequence, epoch=epoch, run=recovered.run)
         if not stop.is_set():
-            _run(loaded, keys, session, instance, directory, store, recovered, memory, stop, announce, sources)
+            try:
+                _run(loaded, keys, session, instance, directory, store, recovered, memory, stop, announce, sources)
+            finally:
+                if memory.spill.store_damaged and store is not None:
+                    put_away(store, directory, memory.spill.failure)
 
 
 def _run(

@@ -41,6 +41,7 @@ def cut_of(run: str, config: Config, state: RunState, inbox: Inbox, duplicates: 
         configuration_digest=configuration_digest(config),
         poses={robot: buffer.to_state() for robot, buffer in state.poses.items()},
         duplicates=duplicates.to_state(),
+        digest=state.map.digest(),
     )
 
 

@@ -17,7 +17,7 @@ from roughmap.cell import CELL_DTYPE, TILE_CELLS
 from roughmap.memory import SLOT_BYTES
 from roughmap.shelf import Shelf, runs_of
 
-from .store import StoreError
+from .store import DamagedStore, StoreError
 from .stored_tiles import StoredTiles
 
 ROW_BYTES = TILE_CELLS * CELL_DTYPE.itemsize
@@ -43,12 +43,14 @@ class Spill(Shelf):
 
     Attributes:
         failure: what was found damaged by a reader, in one line; empty if nothing was.
+        store_damaged: whether that was in the store.
     """
 
     def __init__(self, path: Path, limit: int, *, write: Write = os.pwritev) -> None:
         super().__init__()
         self.path = path
         self.failure = ""
+        self.store_damaged = False
         self._most = limit // SLOT_BYTES
         self._pwritev = write
         self._stored: StoredTiles | None = None
@@ -83,9 +85,11 @@ class Spill(Shelf):
         return places
 
     def adopt(self, stored: StoredTiles) -> I4:
-        """Places for all tiles of a store, which stay there; only once, before anything else lies here."""
-        if self._stored is not None or self.used:
+        """Places for all tiles of a store, which stay there; before anything else lies here."""
+        if self.used:
             raise ValueError("expected a spill file without tiles")
+        if self._stored is not None:  # of a recovery that failed, and begins again
+            self._stored.close()
         self._stored = stored
         places = super().allocate(len(stored.index.tx))
         self._slice[places] = STORED
@@ -119,6 +123,7 @@ class Spill(Shelf):
                 self._read_file(place, records)
         except (SpillError, StoreError) as error:
             self.failure = str(error)
+            self.store_damaged = isinstance(error, DamagedStore)
             raise
 
     def _read_file(self, place: int, records: Records) -> None:

@@ -2,7 +2,7 @@
 
 import json
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -36,6 +36,10 @@ class StoreError(Exception):
     """A map.db that can't be used; one line that names the file, what is wrong and what to do."""
 
 
+class DamagedStore(StoreError):
+    """A map.db whose bytes are not what was written."""
+
+
 class OtherStateVersion(StoreError):
     """A store whose cells mean something else: it is never converted, but built anew from the log."""
 
@@ -45,7 +49,8 @@ class Cut:
     """Where in the run the stored map stands, and what beside the map the run needs to go on from there.
 
     ``input`` and ``record`` are the last ones before the cut; ``low_water`` is the oldest undecided cloud's input, else
-    the next input. ``poses`` are the robots' pose buffers, ``duplicates`` the remembered messages, as JSON values.
+    the next input. ``poses`` are the robots' pose buffers, ``duplicates`` the remembered messages, as JSON values;
+    ``digest`` is the map's.
     """
 
     run: str
@@ -58,6 +63,7 @@ class Cut:
     configuration_digest: str
     poses: dict[str, Any] = field(default_factory=dict)
     duplicates: list[Any] = field(default_factory=list)
+    digest: str = ""
     state_version: int = STATE_VERSION
 
 
@@ -93,13 +99,13 @@ class Store:
             rows = db.execute("SELECT name, value FROM cut").fetchall()
         if not rows:
             return None
-        try:
-            values = {name: json.loads(value) for name, value in rows}
-        except ValueError as error:
-            raise StoreError(f"{self.path}: damaged ({error}); move it away to build it anew from the log") from None
-        version = values.get("state_version")
-        if version != STATE_VERSION:
+        texts = dict(rows)
+        version, checksum = texts.get("state_version"), texts.pop("checksum", "")
+        if version != str(STATE_VERSION):
             raise OtherStateVersion(f"{self.path}: a store of state version {version}, not {STATE_VERSION}")
+        if checksum != _checksum(texts):
+            raise DamagedStore(f"{self.path}: damaged (its cut); move it away to build it anew from the log")
+        values = {name: json.loads(value) for name, value in texts.items()}
         try:
             return Cut(**values)
         except TypeError as error:
@@ -121,7 +127,7 @@ class Store:
             if zstandard.frame_content_size(blob) == TILE_BYTES:  # type: ignore[arg-type] # before it is allocated
                 raw = zstandard.ZstdDecompressor().decompress(blob)  # type: ignore[arg-type]
         if len(raw) != TILE_BYTES or xxhash.xxh3_128_digest(raw) != digest:
-            raise StoreError(f"{self.path}: tile ({tx}, {ty}) is damaged; move the file away to rebuild it")
+            raise DamagedStore(f"{self.path}: tile ({tx}, {ty}) is damaged; move the file away to rebuild it")
         return np.frombuffer(raw, CELL_DTYPE)
 
     def load_into(self, rough_map: RoughMap, cut: Cut) -> None:
@@ -131,7 +137,7 @@ class Store:
             try:
                 rough_map.load_tile(tile.tx, tile.ty, tile.records, tile.oldest_ns, tile.newest_ns, tile.digest)
             except ValueError as error:
-                raise StoreError(f"{self.path}: damaged ({error}); move the file away to rebuild it") from None
+                raise DamagedStore(f"{self.path}: damaged ({error}); move the file away to rebuild it") from None
 
     def write(self, cut: Cut, frozen: Frozen, after: int | None) -> None:
         """Commit a cut: the tiles of ``frozen`` that changed after sequence ``after`` (None: all, and no others).
@@ -150,10 +156,8 @@ class Store:
                     db.execute("DELETE FROM tiles")
                 db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?, ?, ?, ?)", _rows(frozen, after, pack))
                 db.execute("DELETE FROM cut")
-                db.executemany(
-                    "INSERT INTO cut VALUES (?, ?)",
-                    [(name, json.dumps(value, allow_nan=False)) for name, value in asdict(cut).items()],
-                )
+                texts = {name: json.dumps(value, allow_nan=False) for name, value in asdict(cut).items()}
+                db.executemany("INSERT INTO cut VALUES (?, ?)", [*texts.items(), ("checksum", _checksum(texts))])
                 db.execute("COMMIT")
             except BaseException:
                 if db.in_transaction:  # some errors end it themselves
@@ -164,7 +168,8 @@ class Store:
         self, rough_map: RoughMap, configuration: dict[str, Any], configuration_digest: str, run: str
     ) -> None:
         """Store a map that no service keeps, as `build` and `replay` make them: a run's beginning, without a log."""
-        cut = Cut(run, 0, rough_map.sequence, 0, 0, 1, configuration, configuration_digest)
+        digest = rough_map.digest()
+        cut = Cut(run, 0, rough_map.sequence, 0, 0, 1, configuration, configuration_digest, digest=digest)
         with rough_map.freeze() as frozen:
             self.write(cut, frozen, None)
 
@@ -179,6 +184,16 @@ class Store:
             db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             db.execute("PRAGMA journal_mode = DELETE")
         aside = self.path.rename(self.path.with_name(f"{self.path.name}.{run}"))
+        sync_directory(self.path.parent)
+        return aside
+
+    def put_away(self) -> Path:
+        """Rename a store that can't be used as one, with what SQLite keeps beside it; returns the new name."""
+        aside = self.path.with_name(f"{self.path.name}.damaged")
+        for ending in ("-wal", "-shm", ""):
+            path = self.path.with_name(self.path.name + ending)
+            if path.exists():
+                path.replace(aside.with_name(aside.name + ending))
         sync_directory(self.path.parent)
         return aside
 
@@ -198,12 +213,24 @@ class Store:
             with closing(self.open_reading()) as db:
                 yield db
         except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: {error}; it is no map.db, or damaged") from None
+            raise read_error(self.path, error) from None
 
     def open_reading(self, *, check_same_thread: bool = True) -> sqlite3.Connection:
         """The connection itself, to be closed by the caller. sqlite3.Error."""
         uri = f"{self.path.absolute().as_uri()}?mode=rw"
         return sqlite3.connect(uri, uri=True, timeout=5.0, check_same_thread=check_same_thread)
+
+
+def read_error(path: Path, error: sqlite3.Error) -> StoreError:
+    """What SQLite's error over a store is: that it is damaged, or that it can't be read, or is none."""
+    # "malformed" has no class of its own; what is no database at all is not ours to put away.
+    kind = DamagedStore if type(error) is sqlite3.DatabaseError and "malformed" in str(error) else StoreError
+    return kind(f"{path}: {error}; it is no map.db, or damaged")
+
+
+def _checksum(texts: Mapping[str, str]) -> str:
+    """Over the rows of a cut."""
+    return xxhash.xxh3_128_hexdigest(json.dumps(sorted(texts.items())).encode())
 
 
 def _rows(frozen: Frozen, after: int | None, pack: zstandard.ZstdCompressor) -> Iterable[tuple[Any, ...]]:

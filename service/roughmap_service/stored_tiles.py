@@ -11,7 +11,7 @@ from roughmap import RoughMap
 from roughmap.arrays import I4, I8, U1, Records
 from roughmap.shelf import copy_known_rows
 
-from .store import Cut, Store, StoreError
+from .store import Cut, DamagedStore, Store, read_error
 
 CHUNK = 1 << 14
 """Rows that are in memory as Python's objects at a time."""
@@ -49,9 +49,9 @@ def read_index(store: Store) -> TileIndex:
     return TileIndex(tx.astype(np.int32), ty.astype(np.int32), oldest.copy(), newest.copy(), digest)
 
 
-def damaged(store: Store, why: str) -> StoreError:
+def damaged(store: Store, why: str) -> DamagedStore:
     """The error of a store whose content can't be."""
-    return StoreError(f"{store.path}: damaged ({why}); move the file away to rebuild it")
+    return DamagedStore(f"{store.path}: damaged ({why}); move the file away to rebuild it")
 
 
 class StoredTiles:
@@ -73,7 +73,7 @@ class StoredTiles:
                     self._db = self.store.open_reading(check_same_thread=False)
                 row = self._db.execute("SELECT records FROM tiles WHERE tx = ? AND ty = ?", (tx, ty)).fetchone()
         except sqlite3.Error as error:
-            raise StoreError(f"{self.store.path}: tile ({tx}, {ty}): {error}") from None
+            raise read_error(self.store.path, error) from None
         blob = None if row is None else row[0]
         copy_known_rows(self.store.unpacked(tx, ty, index.digest[number].tobytes(), blob), records)
 

@@ -173,7 +173,10 @@ def test_a_runs_metadata_there_and_back() -> None:
     assert all(isinstance(value, str) for value in record.values())
     assert (record["run"], record["first_input"]) == (HEX, "1")
     assert RunMetadata.from_record(record) == metadata
-    assert RunMetadata.from_record({**record, "later": "entry"}) == metadata
+    with pytest.raises(BadJson, match="checksum"):
+        RunMetadata.from_record({**record, "epoch": "9"})
+    unchecked = {name: value for name, value in record.items() if name != "checksum"}
+    assert RunMetadata.from_record({**unchecked, "later": "entry"}) == metadata
     without = metadata.model_copy(update={"base_digest": ""})
     assert RunMetadata.from_record(without.to_record()) == without
 

@@ -1,0 +1,137 @@
+"""A log or store whose bytes are not what was written: named, kept beside, and the rest of the run goes on."""
+
+import logging
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from service_tools import Run, config, inputs_of, read_back
+
+from roughmap_service.log_reader import DamagedLog, LogError, raw_records
+from roughmap_service.recovery import Recovered, recover
+from roughmap_service.replay import replay
+from roughmap_service.store import Store, StoreError
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    return tmp_path / "log"
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "map.db")
+
+
+def three_files(logs: Path, store: Store | None = None, snapshot_in: int = 2) -> list[str]:
+    """A run over three files of two scans each; the map's digest at the end of each."""
+    digests = []
+    with Run(logs, store=store) as run:
+        for n in range(3):
+            for k in range(2):
+                run.scan(2.0 * n + k, 0.3 * (2 * n + k))
+            if store is not None and n == snapshot_in:
+                run.snapshot()
+            digests.append(run.state.map.digest())
+            if n < 2:
+                run.rotate()
+    return digests
+
+
+def flip(path: Path, at: float) -> None:
+    """One bit, ``at`` so far through the file."""
+    data = bytearray(path.read_bytes())
+    data[int(at * len(data))] ^= 4
+    path.write_bytes(data)
+
+
+def goes_on(logs: Path, back: Recovered) -> None:
+    """The run is taken up again, and what is there is a whole log."""
+    with Run(logs, recovered=back) as run:
+        run.scan(50.0)
+        run.checkpoint()
+    assert replay([logs]).difference is None
+
+
+@pytest.mark.parametrize("damaged", [1, 2])
+def test_a_log_ends_before_its_damage(logs: Path, damaged: int, caplog: pytest.LogCaptureFixture) -> None:
+    digests = three_files(logs)
+    files = sorted(logs.iterdir())
+    chunk = files[damaged].read_bytes().index(b"robots/rover/points")
+    flip(files[damaged], chunk / files[damaged].stat().st_size)
+    with caplog.at_level(logging.WARNING):
+        back = recover(config(), logs, None)
+    assert back.state.map.digest() == digests[damaged - 1]
+    assert f"{files[damaged]}: damaged at or before byte" in caplog.text
+    left = {path.name for path in logs.iterdir()}
+    assert f"{files[damaged].name}.torn" in left
+    assert (f"{files[2].name}.behind" in left) == (damaged == 1)
+    goes_on(logs, back)
+
+
+def test_what_the_store_holds_already_may_be_damaged_in_the_log(logs: Path, store: Store) -> None:
+    digests = three_files(logs, store)
+    first, second, _ = sorted(logs.iterdir())
+    before = first.read_bytes(), second.read_bytes()
+    for path, at in ((first, 0.7), (second, 0.01)):  # in a chunk, and in the beginning, which is read of every file
+        flip(path, at)
+    with pytest.raises(LogError):
+        replay([logs])
+    back = recover(config(), logs, store)
+    assert back.state.map.digest() == digests[2]
+    first.write_bytes(before[0])
+    second.write_bytes(before[1])
+    goes_on(logs, back)
+
+
+def test_a_run_without_its_beginning_is_not_begun_anew(logs: Path) -> None:
+    three_files(logs)
+    path = sorted(logs.iterdir())[0]
+    before = sorted(logs.iterdir())
+    flip(path, path.read_bytes().index(b"base_sequence") / path.stat().st_size)
+    with pytest.raises(DamagedLog, match=path.name):
+        recover(config(), logs, None)
+    assert sorted(logs.iterdir()) == before
+
+
+def test_a_closed_file_that_seems_to_go_on_is_damaged(logs: Path) -> None:
+    """A length that reaches past the end looks like the tear of a kill; but the file was closed."""
+    three_files(logs)
+    path = sorted(logs.iterdir())[2]
+    data = bytearray(path.read_bytes())
+    data[data.index(b"\x06", len(data) // 2) + 4] ^= 1  # in the length of a chunk, 16 MiB more
+    path.write_bytes(data)
+    with pytest.raises(DamagedLog):
+        list(raw_records(path))
+
+
+@pytest.mark.parametrize("what", ["tile", "cut", "row", "page"])
+def test_a_damaged_store_is_built_anew(logs: Path, store: Store, what: str, caplog: pytest.LogCaptureFixture) -> None:
+    digests = three_files(logs, store)
+    with closing(sqlite3.connect(store.path)) as db, db:
+        db.execute("PRAGMA journal_mode = DELETE")
+        if what == "tile":
+            db.execute("UPDATE tiles SET records = x'00'")
+        elif what == "cut":
+            db.execute("UPDATE cut SET value = replace(value, '0.3', '0.4') WHERE name = 'poses'")
+        elif what == "row":
+            db.execute("DELETE FROM tiles WHERE tx = (SELECT max(tx) FROM tiles)")
+    if what == "page":
+        store.path.write_bytes(store.path.read_bytes()[: store.path.stat().st_size // 3])
+    back = recover(config(), logs, store)
+    assert (back.state.map.digest(), back.cut) == (digests[2], None)
+    assert str(store.path) in caplog.text
+    assert store.path.with_name("map.db.damaged").exists()
+    assert not store.exists()
+
+
+def test_a_damaged_store_that_no_log_can_replace_is_left_alone(logs: Path, store: Store) -> None:
+    three_files(logs, store)
+    sorted(logs.iterdir())[0].unlink()
+    with closing(sqlite3.connect(store.path)) as db, db:
+        db.execute("UPDATE tiles SET records = x'00'")
+    with pytest.raises(StoreError, match="is damaged"):
+        recover(config(), logs, store)
+    assert store.exists()
+    assert len(inputs_of(read_back(logs))) == 12
