@@ -178,7 +178,29 @@ class LevelIndex:
             chosen = np.flatnonzero((tx >= x0) & (tx <= x1) & (ty >= y0) & (ty <= y1)).astype(np.int32)
         return chosen[np.lexsort((ty[chosen], tx[chosen]))]
 
+    def versions(self) -> "TileVersions":
+        """The tiles as they are now, to be read while the index goes on."""
+        return TileVersions(self.tx[: self.size], self.ty[: self.size], self.sequence[: self.size].copy())
+
     def select(self, box: Box | None = None) -> tuple[I4, I4, I8]:
         """Copies of (tx, ty, sequence) of the tiles in ``box`` (inclusive; None: all), ascending by (tx, ty)."""
         chosen = self.entries(box)
         return self.tx[chosen], self.ty[chosen], self.sequence[chosen]
+
+
+class TileVersions:
+    """Which tiles a level had at one moment, and the sequence of each; not changed by what the map does meanwhile."""
+
+    def __init__(self, tx: I4, ty: I4, sequence: I8) -> None:
+        self._tx, self._ty, self._sequence = tx, ty, sequence  # entries only come: their numbers need no copy
+
+    def select(self, box: Box | None = None) -> tuple[I4, I8]:
+        """(T, 2) tiles in ``box`` (inclusive; None: all), ascending by (x, y), and (T,) their sequences."""
+        tx, ty = self._tx, self._ty
+        if box is None:
+            chosen = np.arange(len(tx))
+        else:
+            x0, y0, x1, y1 = box
+            chosen = np.flatnonzero((tx >= x0) & (tx <= x1) & (ty >= y0) & (ty <= y1))
+        chosen = chosen[np.lexsort((ty[chosen], tx[chosen]))]
+        return np.column_stack((tx[chosen], ty[chosen])), self._sequence[chosen]

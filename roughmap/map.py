@@ -15,6 +15,7 @@ from roughmap.digest import map_digest, tile_digest
 from roughmap.eviction import Eviction
 from roughmap.footprint import POINT
 from roughmap.frozen import Frozen, TileBox
+from roughmap.index import TileVersions
 from roughmap.integrate import AddReport, integrate
 from roughmap.merge_cache import MergeCache
 from roughmap.place import BLOCK, pose_at, split
@@ -105,6 +106,10 @@ class RoughMap:
     def memory_bytes(self) -> int:
         """Bytes of tiles (counted whole), tables and merged levels; what is resident may be less."""
         return self._table.nbytes + self._cache.nbytes
+
+    def tile_versions(self) -> list[TileVersions]:
+        """Of each level the tiles and their sequences as they are now, to be read while the map goes on."""
+        return [level.versions() for level in self._table.levels]
 
     def extent(self) -> tuple[float, float, float, float] | None:
         """xmin, ymin, xmax, ymax in metres of the tiles with a known cell; None if there is none."""

@@ -47,7 +47,8 @@ def _answer(reader: Reader, asked: CellsQuery, cells: Cells, send: Send) -> Outc
     tiles = cells >> TILE_SHIFT
     low, high = (tiles.min(axis=0), tiles.max(axis=0)) if len(tiles) else (np.zeros(2, int), np.zeros(2, int))
     box = int(low[0]), int(low[1]), int(high[0]), int(high[1])
-    with reader.frozen([(0, box)]) as ((frozen,), epoch, sequence, _):
+    with reader.frozen([(0, box)]) as cut:
+        frozen = cut.levels[0]
         entries: list[CellEntry | None] = [None] * len(cells)
         distinct, which = np.unique(tiles, axis=0, return_inverse=True)
         order = np.argsort(which.ravel(), kind="stable")
@@ -68,12 +69,12 @@ def _answer(reader: Reader, asked: CellsQuery, cells: Cells, send: Send) -> Outc
     answer = CellAnswer(
         map=reader.identity.map,
         instance=reader.identity.instance,
-        epoch=epoch,
-        sequence=sequence,
+        epoch=cut.epoch,
+        sequence=cut.sequence,
         cells=[entry for entry in entries if entry is not None],
     )
     send(reader.keys.cells, model_bytes(answer), ENCODING)
-    return Outcome(1, sequence)
+    return Outcome(1, cut.sequence)
 
 
 def _state(frozen: Frozen, x: int, y: int, row: int, column: int) -> CellState | None:

@@ -123,7 +123,12 @@ class PoseBuffer:
     def named(self, references: Sequence[tuple[int, int]]) -> list[Pose]:
         """The poses that an event names by (odometry input, transform input); KeyError for one that is not here."""
         wanted = set(references)
-        found = {(p.input, p.transform): p for p in self.poses if (p.input, p.transform) in wanted}
+        found: dict[tuple[int, int], Pose] = {}
+        for pose in reversed(self.poses):  # mostly the newest are meant, and there may be thousands
+            if len(found) == len(wanted):
+                break
+            if (pose.input, pose.transform) in wanted:
+                found[pose.input, pose.transform] = pose
         return [found[reference] for reference in references]
 
     def _trim(self) -> None:

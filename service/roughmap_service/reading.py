@@ -4,10 +4,10 @@ Nothing here knows Zenoh: a plan is made from key, parameters and payload, and h
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,13 +24,31 @@ from roughmap_schemas.reasons import QueryCode
 from roughmap_schemas.selectors import Bbox, RegionQuery, TileQuery
 from roughmap_service.emptied import Emptied, Gone
 from roughmap_service.tile_cache import TileCache
-from roughmap_service.tile_reply import TILE_LIMIT, Drawing, Identity, Wanted, region_reply, tile_range, tile_reply
+from roughmap_service.tile_reply import (
+    TILE_LIMIT,
+    Drawable,
+    Drawing,
+    Identity,
+    NotDrawnYet,
+    TileReply,
+    Wanted,
+    region_reply,
+    tile_range,
+    tile_reply,
+)
 from roughmap_service.view import View
 
 TILE_AREA = TILE_CELLS * TILE_CELLS
 INT32 = 2**31
 
 Box = tuple[int, int, int, int]
+LevelBox = tuple[int, Box | None]
+"""A level, and the tiles of it that are meant; None: all."""
+
+Reply = tuple[str, TileReply]
+"""A reply and the key that it goes under."""
+
+State = TypeVar("State", Frozen, Drawable)
 
 
 class Send(Protocol):
@@ -45,6 +63,16 @@ class Outcome:
 
     tiles: int
     sequence: int
+
+
+@dataclass(frozen=True, slots=True)
+class Cut(Generic[State]):
+    """One state of the map: of each box asked for its tiles, and what resets had emptied by then (None: not known)."""
+
+    levels: list[State]
+    epoch: int
+    sequence: int
+    gone: Gone | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,18 +111,50 @@ class Reader:
         )
 
     @contextmanager
-    def frozen(self, boxes: list[tuple[int, Box | None]]) -> Iterator[tuple[list[Frozen], int, int, Gone]]:
-        """Several (level, box) of one and the same map, its epoch and sequence, and what resets had emptied by then."""
+    def frozen(self, boxes: Sequence[LevelBox]) -> Iterator[Cut[Frozen]]:
+        """Several (level, box) of one and the same map, to be read while it goes on."""
         held: list[Frozen] = []
         try:
             with self.view.reading() as rough_map:
                 held.extend(rough_map.freeze(level, box) for level, box in boxes)
-                epoch, sequence, gone = self.view.epoch, rough_map.sequence, self._emptied.now
-            yield held, epoch, sequence, gone
+                cut = Cut(held, self.view.epoch, rough_map.sequence, self._emptied.now)
+            yield cut
         finally:
-            with self.view.reading():
-                for one in held:
-                    one.close()
+            for one in held:
+                self.view.let_go(one)
+
+    def _standing(self, boxes: Sequence[LevelBox]) -> Cut[Drawable] | None:
+        """The same of the map before the change that is going on, None if none is: without what resets had emptied,
+        since the change may be one."""
+        standing = self.view.standing
+        if standing is None:
+            return None
+        levels = [
+            Drawable(
+                level,
+                math.ldexp(self.cell_size, level),
+                standing.sequence,
+                standing.newest_updated,
+                *standing.levels[level].select(box),
+            )
+            for level, box in boxes
+        ]
+        return Cut(levels, standing.epoch, standing.sequence, None)
+
+    def _answer(self, boxes: Sequence[LevelBox], replies: Callable[[Cut[Any]], Iterator[Reply]], send: Send) -> Outcome:
+        """Send what ``replies`` makes of one state of the map. While a scan is being integrated that is the one before
+        it, if all tiles were drawn already; else the answer waits for the scan's end."""
+        self.view.will_read()
+        standing = self._standing(boxes)
+        if standing is not None:
+            try:
+                made = list(replies(standing))
+            except NotDrawnYet:
+                pass
+            else:
+                return _sent(made, standing.sequence, send)
+        with self.frozen(boxes) as cut:
+            return _sent(replies(cut), cut.sequence, send)
 
     # Tiles ----------------------------------------------------------------------------------------------------------
 
@@ -102,7 +162,7 @@ class Reader:
         """A query of ``maps/{map}/tiles/...``."""
         asked = TileQuery.parse(parameters)
         (level, x, y), pattern = self._selected(key)
-        boxes: list[tuple[int, Box | None]] = []
+        boxes: list[LevelBox] = []
         count = 0
         for z in range(self.levels) if level is None else (level,):
             box = _tile_box(x, y, asked.bbox, math.ldexp(self.cell_size, z))
@@ -115,7 +175,9 @@ class Reader:
                 continue
             boxes.append((z, box))
         cells = min(count, self.max_reply_tiles) * TILE_AREA
-        return Plan(cells, lambda send: self._answer_tiles(asked, boxes, pattern, send))
+        return Plan(
+            cells, lambda send: self._answer(boxes, lambda cut: self._tile_replies(asked, boxes, pattern, cut), send)
+        )
 
     def _selected(self, key: str) -> tuple[Selected, zenoh.KeyExpr | None]:
         """Level, x and y (None: any); for key expressions of another form than numbers and `*` the expression itself,
@@ -133,39 +195,40 @@ class Reader:
             return self.keys.parse_tile_selector(key, self.levels), None  # raises: no tile has such a key
         return (None, None, None), zenoh.KeyExpr(key)
 
-    def _answer_tiles(
-        self, asked: TileQuery, boxes: list[tuple[int, Box | None]], pattern: zenoh.KeyExpr | None, send: Send
-    ) -> Outcome:
+    def _tile_replies(
+        self, asked: TileQuery, boxes: Sequence[LevelBox], pattern: zenoh.KeyExpr | None, cut: Cut[Any]
+    ) -> Iterator[Reply]:
+        """The replies to a tile query; raises QueryFault before the first."""
         wanted = self.wanted(asked)
-        with self.frozen(boxes) as (levels, epoch, sequence, gone):
-            same_epoch = asked.since is not None and asked.epoch == epoch
-            if same_epoch and asked.since is not None and asked.since > sequence:
-                raise QueryFault(
-                    QueryCode.SINCE_AHEAD, f"since: the map is at sequence {sequence}; found {asked.since}"
-                )
-            chosen: list[tuple[Drawing, int, int, int]] = []
-            for (level, box), frozen in zip(boxes, levels, strict=True):
-                drawing = Drawing(frozen, epoch, wanted, self.identity.frame_id, self._cache)
-                tiles, sequences = frozen.tiles, frozen.sequences
-                if same_epoch and asked.since is not None:
-                    newer = sequences > asked.since
-                    tiles, sequences = tiles[newer], sequences[newer]
-                chosen.extend((drawing, x, y, s) for (x, y), s in zip(tiles.tolist(), sequences.tolist(), strict=True))
-                if asked.since is not None and not same_epoch:
-                    emptied = _within(gone.tiles(level, frozen.tiles), box)
-                    chosen.extend((drawing, x, y, gone.sequence) for x, y in emptied.tolist())
-            if pattern is not None:
-                chosen = [c for c in chosen if pattern.intersects(self.keys.tile(c[0].frozen.level, c[1], c[2]))]
-            if len(chosen) > self.max_reply_tiles:
-                raise QueryFault(
-                    QueryCode.TOO_LARGE,
-                    f"{len(chosen)} tiles; expected at most {self.max_reply_tiles} (query.max_reply_tiles): ask for a "
-                    "smaller bbox or a coarser level",
-                )
-            for drawing, x, y, tile_sequence in chosen:
-                reply = tile_reply(drawing, x, y, tile_sequence, self.identity, len(chosen))
-                send(self.keys.tile(drawing.frozen.level, x, y), reply.payload, GRID, reply.attachment)
-            return Outcome(len(chosen), sequence)
+        same_epoch = asked.since is not None and asked.epoch == cut.epoch
+        if same_epoch and asked.since is not None and asked.since > cut.sequence:
+            raise QueryFault(
+                QueryCode.SINCE_AHEAD, f"since: the map is at sequence {cut.sequence}; found {asked.since}"
+            )
+        chosen: list[tuple[Drawing, int, int, int]] = []
+        for (level, box), state in zip(boxes, cut.levels, strict=True):
+            drawing = Drawing(state, cut.epoch, wanted, self.identity.frame_id, self._cache)
+            tiles, sequences = state.tiles, state.sequences
+            if same_epoch and asked.since is not None:
+                newer = sequences > asked.since
+                tiles, sequences = tiles[newer], sequences[newer]
+            chosen.extend((drawing, x, y, s) for (x, y), s in zip(tiles.tolist(), sequences.tolist(), strict=True))
+            if asked.since is not None and not same_epoch:
+                if cut.gone is None:
+                    raise NotDrawnYet
+                emptied = _within(cut.gone.tiles(level, state.tiles), box)
+                chosen.extend((drawing, x, y, cut.gone.sequence) for x, y in emptied.tolist())
+        if pattern is not None:
+            chosen = [c for c in chosen if pattern.intersects(self.keys.tile(c[0].frozen.level, c[1], c[2]))]
+        if len(chosen) > self.max_reply_tiles:
+            raise QueryFault(
+                QueryCode.TOO_LARGE,
+                f"{len(chosen)} tiles; expected at most {self.max_reply_tiles} (query.max_reply_tiles): ask for a "
+                "smaller bbox or a coarser level",
+            )
+        for drawing, x, y, tile_sequence in chosen:
+            reply = tile_reply(drawing, x, y, tile_sequence, self.identity, len(chosen))
+            yield self.keys.tile(drawing.frozen.level, x, y), reply
 
     # Region ---------------------------------------------------------------------------------------------------------
 
@@ -174,7 +237,8 @@ class Reader:
         asked = RegionQuery.parse(parameters, self.levels)
         cells = self._cells(asked.bbox, math.ldexp(self.cell_size, asked.level))
         count = (cells[2] - cells[0]) * (cells[3] - cells[1])
-        return Plan(count, lambda send: self._answer_region(asked, cells, send))
+        boxes = [(asked.level, tile_box(cells))]
+        return Plan(count, lambda send: self._answer(boxes, lambda cut: self._region_reply(asked, cells, cut), send))
 
     def _cells(self, bbox: Bbox, cell_size: float) -> CellBox:
         """The cells of a box; ``too_large`` or ``bad_bbox``."""
@@ -200,11 +264,18 @@ class Reader:
             "or a coarser level",
         )
 
-    def _answer_region(self, asked: RegionQuery, cells: CellBox, send: Send) -> Outcome:
-        with self.frozen([(asked.level, tile_box(cells))]) as ((frozen,), epoch, sequence, _):
-            reply = region_reply(frozen, epoch, cells, self.wanted(asked), self.identity, self._cache)
-        send(self.keys.region, reply.payload, GRID, reply.attachment)
-        return Outcome(1, sequence)
+    def _region_reply(self, asked: RegionQuery, cells: CellBox, cut: Cut[Any]) -> Iterator[Reply]:
+        wanted = replace(self.wanted(asked), compression=None)
+        drawing = Drawing(cut.levels[0], cut.epoch, wanted, self.identity.frame_id, self._cache)
+        yield self.keys.region, region_reply(drawing, cells, asked.compression, self.identity)
+
+
+def _sent(replies: Iterable[Reply], sequence: int, send: Send) -> Outcome:
+    number = 0
+    for key, reply in replies:
+        send(key, reply.payload, GRID, reply.attachment)
+        number += 1
+    return Outcome(number, sequence)
 
 
 def _tile_box(x: int | None, y: int | None, bbox: Bbox | None, cell_size: float) -> Box | None:

@@ -5,8 +5,12 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
-ENTRY_BYTES = 1024
-"""What an entry costs beside its payload: the key, the objects, the digest."""
+import numpy as np
+
+from roughmap.cell import TILE_CELLS
+
+ENTRY_BYTES = 2048
+"""What an entry costs beside its payload: the key, the objects, the digest, the bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +22,13 @@ class DrawnTile:
     oldest_ns: int
     newest_ns: int
     digest: str
+    known: bytes
+    """A bit a cell, row by row, as `numpy.packbits` makes them."""
+
+    def known_among(self, rows: slice, columns: slice) -> int:
+        """How many cells of a part are known."""
+        bits = np.unpackbits(np.frombuffer(self.known, np.uint8)).reshape(TILE_CELLS, TILE_CELLS)
+        return int(np.count_nonzero(bits[rows, columns]))
 
 
 class TileCache:

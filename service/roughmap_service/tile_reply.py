@@ -2,16 +2,17 @@
 
 import math
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
 from roughmap.frozen import Frozen
 from roughmap.layers import ZERO_WHERE_UNKNOWN
 from roughmap.region import CellBox, overlap, tile_box
-from roughmap_schemas.grid import encode_grid, encode_packed, packed_data
+from roughmap_schemas.grid import Compression, encode_grid, encode_packed, packed_data
 from roughmap_schemas.messages import TileInfo, model_bytes
 from roughmap_service.tile_cache import DrawnTile, TileCache
 
@@ -35,7 +36,7 @@ class Wanted:
     tolerance: float
     limits: Mapping[str, float]
     dtype: Literal["f4", "f8"] = "f4"
-    compression: Literal["zstd"] | None = None
+    compression: Compression = None
 
     @property
     def key(self) -> Hashable:
@@ -52,11 +53,30 @@ class TileReply:
     info: TileInfo
 
 
+class NotDrawnYet(Exception):
+    """A tile of a map that is not there to be read any more, and that the cache doesn't hold."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawable:
+    """The tiles that a level had, without their cells: for those that are drawn already."""
+
+    level: int
+    cell_size: float
+    sequence: int
+    newest_updated: int
+    tiles: npt.NDArray[np.int32]
+    sequences: npt.NDArray[np.int64]
+
+
 class Drawing:
-    """Draws tiles of one frozen map, at one level, in one form; those that ``cache`` holds are not drawn again."""
+    """Draws tiles of one state of the map, at one level, in one form; those that ``cache`` holds are not drawn again.
+
+    Where only `Drawable` is left of that state, `NotDrawnYet` is raised for the others.
+    """
 
     def __init__(
-        self, frozen: Frozen, epoch: int, wanted: Wanted, frame_id: str, cache: TileCache | None = None
+        self, frozen: Frozen | Drawable, epoch: int, wanted: Wanted, frame_id: str, cache: TileCache | None = None
     ) -> None:
         self.frozen = frozen
         self.epoch = epoch
@@ -75,8 +95,11 @@ class Drawing:
 
     def _draw(self, x: int, y: int) -> DrawnTile:
         frozen, wanted = self.frozen, self.wanted
+        if isinstance(frozen, Drawable):
+            raise NotDrawnYet
         layers = frozen.tile_layers(x, y, wanted.layers, wanted.tolerance, wanted.limits)
-        known_cells = frozen.known_cells(x, y)
+        known = frozen.records(x, y)["count"] != 0
+        known_cells = int(np.count_nonzero(known))
         oldest_ns, newest_ns = frozen.stamps(x, y) if known_cells else (0, 0)
         payload = encode_grid(
             layers,
@@ -87,7 +110,7 @@ class Drawing:
             dtype=wanted.dtype,
             compression=wanted.compression,
         )
-        return DrawnTile(payload, known_cells, oldest_ns, newest_ns, frozen.digest(x, y))
+        return DrawnTile(payload, known_cells, oldest_ns, newest_ns, frozen.digest(x, y), np.packbits(known).tobytes())
 
 
 def tile_reply(drawing: Drawing, x: int, y: int, sequence: int, identity: Identity, answer_tiles: int) -> TileReply:
@@ -116,19 +139,13 @@ def tile_reply(drawing: Drawing, x: int, y: int, sequence: int, identity: Identi
     return TileReply(drawn.payload, model_bytes(info), info)
 
 
-def region_reply(
-    frozen: Frozen,
-    epoch: int,
-    cells: CellBox,
-    wanted: Wanted,
-    identity: Identity,
-    cache: TileCache | None = None,
-) -> TileReply:
-    """One Grid over the cells (i0, j0, i1, j1), half-open; ``frozen`` must hold their tiles.
+def region_reply(drawing: Drawing, cells: CellBox, compression: Compression, identity: Identity) -> TileReply:
+    """One Grid over the cells (i0, j0, i1, j1), half-open, whose tiles ``drawing`` must hold.
 
-    A mosaic of tiles as they are drawn for tile queries. Its stamps and its sequence are those of the tiles that it
-    touches.
+    A mosaic of tiles as they are drawn, without compression, for tile queries. Its stamps and its sequence are those of
+    the tiles that it touches.
     """
+    frozen, wanted = drawing.frozen, drawing.wanted
     i0, j0, i1, j1 = cells
     x0, y0, x1, y1 = tile_box(cells)
     inside = (frozen.tiles >= (x0, y0)).all(axis=1) & (frozen.tiles <= (x1, y1)).all(axis=1)
@@ -137,7 +154,6 @@ def region_reply(
     if len(tiles) < (x1 - x0 + 1) * (y1 - y0 + 1):
         blank = [0.0 if name in ZERO_WHERE_UNKNOWN else np.nan for name in wanted.layers]
         packed.reshape(j1 - j0, -1)[:] = np.tile(np.array(blank, packed.dtype), i1 - i0)  # ten times packed[:] = blank
-    drawing = Drawing(frozen, epoch, replace(wanted, compression=None), identity.frame_id, cache)
     known_cells, stamps = 0, []
     for (x, y), sequence in zip(tiles, sequences, strict=True):
         drawn = drawing.tile(x, y, sequence)
@@ -146,13 +162,12 @@ def region_reply(
         values = packed_data(drawn.payload, (TILE_CELLS, TILE_CELLS, len(wanted.layers)), wanted.dtype)
         packed[up, across] = values[rows, columns]
         whole = rows == columns == slice(0, TILE_CELLS)
-        part = frozen.records(x, y)[rows, columns]["count"]
-        known_cells += drawn.known_cells if whole else int(np.count_nonzero(part))
+        known_cells += drawn.known_cells if whole else drawn.known_among(rows, columns)
         stamps.append((drawn.oldest_ns, drawn.newest_ns))
     info = TileInfo(
         map=identity.map,
         instance=identity.instance,
-        epoch=epoch,
+        epoch=drawing.epoch,
         z=frozen.level,
         x=None,
         y=None,
@@ -164,7 +179,7 @@ def region_reply(
         known_cells=known_cells,
         digest=None,
         configuration_digest=identity.configuration_digest,
-        compression=wanted.compression,
+        compression=compression,
     )
     payload = encode_packed(
         wanted.layers,
@@ -173,7 +188,7 @@ def region_reply(
         frozen.cell_size,
         info.newest_ns,
         identity.frame_id,
-        compression=wanted.compression,
+        compression=compression,
     )
     return TileReply(payload, model_bytes(info), info)
 

@@ -13,7 +13,7 @@ from roughmap_service.view import View
 
 
 def drawn(size: int) -> DrawnTile:
-    return DrawnTile(bytes(size), 1, T0, T0, "0" * 32)
+    return DrawnTile(bytes(size), 1, T0, T0, "0" * 32, bytes(512))
 
 
 def test_what_was_not_asked_for_the_longest_goes_first() -> None:
@@ -52,7 +52,7 @@ def test_answers_follow_the_map() -> None:
     config = Config.model_validate({"map": {"name": "site"}})
     keeps_none = config.model_copy(update={"query": config.query.model_copy(update={"cache_limit": 1})})
     with filled(config) as rough_map:
-        view, keys, emptied = View(rough_map, 5), Keys("site", config.keys), Emptied()
+        view, keys, emptied = View(rough_map, 5), Keys("site", config.keys), Emptied(1000)
         identity = Identity("site", RUN, INSTANCE, "0" * 32, "map")
         kept, plain = (Reader(view, keys, one, identity, emptied) for one in (config, keeps_none))
         for change in ("none", "points", "far", "reset", "points"):

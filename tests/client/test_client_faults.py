@@ -206,7 +206,7 @@ def test_a_service_that_is_busy_is_asked_again(pair: Pair, client: RoughMapClien
 def test_a_service_that_stays_busy_is_told_at_the_end(pair: Pair) -> None:
     with (
         foreign(pair, KEYS["region"], lambda q: refuse(q, "busy")),
-        RoughMapClient("site", session=pair[1], timeout=0.5) as client,
+        RoughMapClient("site", session=pair[1], timeout=1.5) as client,
         pytest.raises(QueryRefused, match="busy: as the test wants it") as caught,
     ):
         client.region((0, 0, 1, 1))

@@ -1,0 +1,129 @@
+"""Readers and the one writer of a map: who waits for whom."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from net import WAIT_S, wait_for
+from served import INSTANCE, RUN, T0, S, filled, some_points
+
+from roughmap_schemas import Config, Keys
+from roughmap_service.emptied import Emptied
+from roughmap_service.reading import Plan, Reader
+from roughmap_service.tile_reply import Identity
+from roughmap_service.view import View
+
+CONFIG = Config.model_validate({"map": {"name": "site"}})
+TILES = "maps/site/tiles/0/*/*"
+BOX = "bbox=-3,-3,5,5"
+
+
+@pytest.fixture
+def view() -> Iterator[View]:
+    with filled(CONFIG) as rough_map:
+        yield View(rough_map, 5)
+
+
+def reader_of(view: View) -> Reader:
+    keys = Keys("site", CONFIG.keys)
+    return Reader(view, keys, CONFIG, Identity("site", RUN, INSTANCE, "0" * 32, "map"), Emptied(1000))
+
+
+def replies(plan: Plan) -> list[tuple]:
+    sent: list[tuple] = []
+    plan.answer(lambda *reply: sent.append(reply))
+    return sent
+
+
+class Beside:
+    """Runs something in a thread of its own; ``done`` says that it came to its end."""
+
+    def __init__(self, work: Callable[[], object]) -> None:
+        self.done = threading.Event()
+        self.found: object = None
+
+        def run() -> None:
+            self.found = work()
+            self.done.set()
+
+        threading.Thread(target=run, daemon=True).start()
+
+
+def queries(reader: Reader) -> list[Callable[[], list[tuple]]]:
+    return [
+        lambda: replies(reader.tiles(TILES, BOX)),
+        lambda: replies(reader.tiles(TILES, f"{BOX};since=2;epoch=5")),
+        lambda: replies(reader.region(f"{BOX};layers=mean_height,count,age")),
+        lambda: replies(reader.tiles("maps/site/tiles/2/*/*", "layers=slope")),
+    ]
+
+
+def test_what_is_drawn_already_is_answered_while_the_map_changes(view: View) -> None:
+    """At the sequence before the change, which nobody can tell from an answer right before it."""
+    reader = reader_of(view)
+    before = [ask() for ask in queries(reader)]
+    with view.change() as rough_map:
+        rough_map.add(some_points(300, 9), S, T0 + 20 * 10**9)
+        for ask, expected in zip(queries(reader), before, strict=True):
+            beside = Beside(ask)
+            wait_for(beside.done, "an answer during a change")
+            assert beside.found == expected
+    for ask, old in zip(queries(reader), before, strict=True):
+        assert ask() != old
+
+
+def test_what_is_not_drawn_waits_for_the_end_of_the_change(view: View) -> None:
+    reader = reader_of(view)
+    replies(reader.tiles(TILES, "bbox=-3,-3,0,0"))
+    with view.change() as rough_map:
+        standing = view.standing
+        assert standing is not None
+        assert standing.sequence == rough_map.sequence
+        rough_map.add(some_points(300, 9), S, T0 + 20 * 10**9)
+        sequence = rough_map.sequence
+        more = Beside(
+            lambda: {reply[3].decode().count(f'"map_sequence":{sequence},') for reply in queries(reader)[0]()}
+        )
+        anew = Beside(lambda: replies(reader.tiles(TILES, "bbox=-3,-3,0,0;since=1;epoch=4")))
+        assert not more.done.is_set()
+        assert not anew.done.is_set()
+    for beside in (more, anew):
+        wait_for(beside.done, "an answer after the change")
+    assert more.found == {1}
+    assert view.standing is None
+
+
+def at_the_door(view: View) -> bool:
+    """Wait for a reader to wait for the map; False if none comes."""
+    tick, until = threading.Event(), time.monotonic() + WAIT_S
+    while not view._turn.locked() and time.monotonic() < until:
+        tick.wait(0.001)
+    return view._turn.locked()
+
+
+def test_a_reader_that_waits_comes_before_the_next_change(view: View) -> None:
+    served = threading.Event()
+
+    def read() -> None:
+        with view.reading():
+            served.set()
+
+    for _ in range(50):
+        served.clear()
+        with view.change():
+            waiting = Beside(read)
+            assert at_the_door(view)
+        with view.change():
+            assert served.is_set()
+        wait_for(waiting.done, "the reader to end")
+
+
+def test_what_is_let_go_during_a_change_is_closed_by_the_next_who_takes_the_map(view: View) -> None:
+    frozen = view.map.freeze(0)
+    with view.change():
+        beside = Beside(lambda: view.let_go(frozen))
+        wait_for(beside.done, "a reader to let go, which must not wait")
+        assert frozen.records(0, 0)["count"].any()
+    with view.reading(), pytest.raises(ValueError, match="closed"):
+        frozen.records(0, 0)
