@@ -6,11 +6,11 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check bench schemas lock clean
+.PHONY: help setup demo test check bench bench-peers schemas lock clean
 
 help:  ## this list
 	@echo "make TARGET, where TARGET is:"
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-10s %s\n", $$1, $$2}'
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-12s %s\n", $$1, $$2}'
 
 setup: $(READY)  ## the Python environment, with the locked versions
 
@@ -38,6 +38,9 @@ check: $(READY)  ## style, types, the direction of imports, the exported schemas
 
 bench: $(READY)  ## what it costs, each figure with its mark and a reference beside it; pictures in bench/
 	$(BIN)/python tests/bench/run.py $(ARGS)
+
+bench-peers: $(READY)  ## nanoseconds a point beside what pip can bring, in an environment of its own
+	$(BIN)/python tests/bench/peers.py $(ARGS)
 
 schemas: $(READY)  ## schemas/json anew from the models
 	$(BIN)/python -m roughmap_schemas.export

@@ -6,6 +6,7 @@ import matplotlib as mpl
 import numpy as np
 from figures import Row
 from matplotlib import pyplot as plt
+from matplotlib.ticker import ScalarFormatter
 
 LOOK = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.3}
 
@@ -20,7 +21,6 @@ def draw(rows: list[Row], folder: Path) -> list[Path]:
 
 
 def _save(figure: plt.Figure, path: Path) -> Path:
-    figure.tight_layout()
     figure.savefig(path, dpi=120)
     plt.close(figure)
     return path
@@ -34,7 +34,7 @@ def _held(rows: dict[str, Row], folder: Path) -> Path | None:
     }
     if not kinds["the drive"]:
         return None
-    figure, axes = plt.subplots(figsize=(6, 3.6))
+    figure, axes = plt.subplots(layout="constrained", figsize=(6, 3.6))
     for name, line in kinds.items():
         tiles = [int(row.key.split(".")[1]) for row in line]
         value = np.array([row.value for row in line])
@@ -59,7 +59,7 @@ def _coherence(rows: dict[str, Row], folder: Path) -> Path | None:
     }
     if not all(key in rows for key in bars):
         return None
-    figure, axes = plt.subplots(figsize=(7, 3.6))
+    figure, axes = plt.subplots(layout="constrained", figsize=(7, 3.6))
     shown = [rows[key] for key in bars]
     value = np.array([row.value for row in shown])
     error = [value - [row.low for row in shown], [row.high for row in shown] - value]
@@ -82,12 +82,14 @@ def _latency(rows: dict[str, Row], folder: Path) -> Path | None:
     shown = {label: np.sort(rows[key].samples) for key, label in kinds.items() if key in rows and rows[key].samples}
     if not shown:
         return None
-    figure, axes = plt.subplots(figsize=(7, 3.8))
+    figure, axes = plt.subplots(layout="constrained", figsize=(7, 4.4))
     for label, ms in shown.items():
         axes.step(ms, 1.0 - np.arange(len(ms)) / len(ms), where="pre", label=f"{label} (n = {len(ms)})")
     axes.axhline(0.01, color="grey", linestyle=":", linewidth=1)
     axes.set(
         xscale="log", yscale="log", xlabel="ms", ylabel="part that took longer", title="while scans come in at 10 Hz"
     )
-    axes.legend()
+    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_minor_formatter(ScalarFormatter())
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return _save(figure, folder / "latency.png")

@@ -4,7 +4,7 @@ import json
 import math
 import os
 import platform
-from importlib.metadata import version
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,13 @@ def machine() -> dict[str, Any]:
         model = next(
             (line.split(":", 1)[1].strip() for line in cpus.read_text().splitlines() if "model name" in line), ""
         )
-    packages = ("numpy", "numba", "eclipse-zenoh", "mcap")
+    installed = {found.name: found.version for found in distributions()}
     return {
         "cpu": model or platform.processor(),
         "cores": len(os.sched_getaffinity(0)),
         "system": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
-        **{name: version(name) for name in packages},
+        **{name: installed[name] for name in ("numpy", "numba", "eclipse-zenoh", "mcap") if name in installed},
     }
 
 
@@ -78,9 +78,11 @@ def short(value: float | None) -> str:
 
 
 def lines(rows: list[Row]) -> list[str]:
-    """The table as Markdown that also reads as text."""
-    cells = [HEAD, *(_cells(row) for row in rows)]
-    wide = [max(len(line[k]) for line in cells) for k in range(len(HEAD))]
+    """The table as Markdown that also reads as text, without columns that say nothing."""
+    full = [_cells(row) for row in rows]
+    kept = [k for k in range(len(HEAD)) if any(line[k] for line in full)]
+    cells = [[line[k] for k in kept] for line in (HEAD, *full)]
+    wide = [max(len(line[k]) for line in cells) for k in range(len(kept))]
     text = ["| " + " | ".join(cell.ljust(w) for cell, w in zip(line, wide, strict=True)) + " |" for line in cells]
     return [text[0], "|" + "|".join("-" * (w + 2) for w in wide) + "|", *text[1:]]
 
