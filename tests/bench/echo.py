@@ -4,6 +4,7 @@ Prints its endpoint when it is ready, and ends when its standard input does.
 """
 
 import json
+import random
 import sys
 
 import zenoh
@@ -29,7 +30,7 @@ def main() -> int:
 
         def answer(query: zenoh.Query) -> None:
             size, replies = int(query.parameters["size"]), int(query.parameters["replies"])
-            payload = payloads.setdefault(size, bytes(size))
+            payload = payloads.setdefault(size, random.randbytes(size))
             for _ in range(replies):
                 query.reply("echo", payload, encoding=ENCODING, attachment=ATTACHMENT)
             query.drop()
