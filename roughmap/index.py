@@ -108,6 +108,13 @@ def grown(array: npt.NDArray[T], size: int) -> npt.NDArray[T]:
     return larger
 
 
+def paired(tx: I4, ty: I4) -> I4:
+    """(T, 2) of two (T,): half the time of numpy's column_stack where there are few."""
+    tiles = np.empty((len(tx), 2), np.int32)
+    tiles[:, 0], tiles[:, 1] = tx, ty
+    return tiles
+
+
 class LevelIndex:
     """The tiles of one level that exist, each with its sequence. Entries are never removed."""
 
@@ -203,4 +210,4 @@ class TileVersions:
             x0, y0, x1, y1 = box
             chosen = np.flatnonzero((tx >= x0) & (tx <= x1) & (ty >= y0) & (ty <= y1))
         chosen = chosen[np.lexsort((ty[chosen], tx[chosen]))]
-        return np.column_stack((tx[chosen], ty[chosen])), self._sequence[chosen]
+        return paired(tx[chosen], ty[chosen]), self._sequence[chosen]

@@ -15,7 +15,7 @@ from roughmap.digest import map_digest, tile_digest
 from roughmap.eviction import Eviction
 from roughmap.footprint import POINT
 from roughmap.frozen import Frozen, TileBox
-from roughmap.index import TileVersions
+from roughmap.index import TileVersions, paired
 from roughmap.integrate import AddReport, integrate
 from roughmap.merge_cache import MergeCache
 from roughmap.place import BLOCK, pose_at, split
@@ -106,6 +106,11 @@ class RoughMap:
     def memory_bytes(self) -> int:
         """Bytes of tiles (counted whole), tables and merged levels; what is resident may be less."""
         return self._table.nbytes + self._cache.nbytes
+
+    def tile_sequences(self, level: int = 0, box: TileBox | None = None) -> tuple[I4, I8]:
+        """(T, 2) tiles of a level in ``box`` (inclusive; None: all), ascending by (x, y), and (T,) their sequences."""
+        tx, ty, sequence = self._table.levels[level].select(box)
+        return paired(tx, ty), sequence
 
     def tile_versions(self) -> list[TileVersions]:
         """Of each level the tiles and their sequences as they are now, to be read while the map goes on."""

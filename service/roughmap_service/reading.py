@@ -34,7 +34,6 @@ from roughmap_service.tile_reply import (
     Wanted,
     region_reply,
     tile_range,
-    tile_reply,
 )
 from roughmap_service.view import View
 
@@ -123,38 +122,37 @@ class Reader:
             for one in held:
                 self.view.let_go(one)
 
-    def _standing(self, boxes: Sequence[LevelBox]) -> Cut[Drawable] | None:
-        """The same of the map before the change that is going on, None if none is: without what resets had emptied,
-        since the change may be one."""
+    def _listed(self, boxes: Sequence[LevelBox]) -> Cut[Drawable]:
+        """The same without the tiles' cells; while a change is going on, of the map before it (then it isn't known what
+        resets had emptied, since the change may be one)."""
         standing = self.view.standing
-        if standing is None:
-            return None
-        levels = [
-            Drawable(
-                level,
-                math.ldexp(self.cell_size, level),
-                standing.sequence,
-                standing.newest_updated,
-                *standing.levels[level].select(box),
-            )
-            for level, box in boxes
+        if standing is not None:
+            epoch, sequence, updated, gone = standing.epoch, standing.sequence, standing.newest_updated, None
+            found = [standing.levels[level].select(box) for level, box in boxes]
+        else:
+            with self.view.reading() as rough_map:
+                epoch, sequence, updated = self.view.epoch, rough_map.sequence, rough_map.newest_updated
+                found, gone = [rough_map.tile_sequences(level, box) for level, box in boxes], self._emptied.now
+        listed = [
+            Drawable(level, math.ldexp(self.cell_size, level), sequence, updated, tiles, sequences)
+            for (level, _), (tiles, sequences) in zip(boxes, found, strict=True)
         ]
-        return Cut(levels, standing.epoch, standing.sequence, None)
+        return Cut(listed, epoch, sequence, gone)
 
     def _answer(self, boxes: Sequence[LevelBox], replies: Callable[[Cut[Any]], Iterator[Reply]], send: Send) -> Outcome:
-        """Send what ``replies`` makes of one state of the map. While a scan is being integrated that is the one before
-        it, if all tiles were drawn already; else the answer waits for the scan's end."""
+        """Send what ``replies`` makes of one state of the map.
+
+        Where all tiles were drawn already, nothing of the map need be held. While a scan is being integrated such an
+        answer is of the map before it; any other waits for the scan's end.
+        """
         self.view.will_read()
-        standing = self._standing(boxes)
-        if standing is not None:
-            try:
-                made = list(replies(standing))
-            except NotDrawnYet:
-                pass
-            else:
-                return _sent(made, standing.sequence, send)
-        with self.frozen(boxes) as cut:
-            return _sent(replies(cut), cut.sequence, send)
+        cut = self._listed(boxes)
+        try:
+            made = list(replies(cut))
+        except NotDrawnYet:
+            with self.frozen(boxes) as held:
+                return _sent(replies(held), held.sequence, send)
+        return _sent(made, cut.sequence, send)
 
     # Tiles ----------------------------------------------------------------------------------------------------------
 
@@ -207,7 +205,7 @@ class Reader:
             )
         chosen: list[tuple[Drawing, int, int, int]] = []
         for (level, box), state in zip(boxes, cut.levels, strict=True):
-            drawing = Drawing(state, cut.epoch, wanted, self.identity.frame_id, self._cache)
+            drawing = Drawing(state, cut.epoch, wanted, self.identity, self._cache)
             tiles, sequences = state.tiles, state.sequences
             if same_epoch and asked.since is not None:
                 newer = sequences > asked.since
@@ -227,8 +225,7 @@ class Reader:
                 "smaller bbox or a coarser level",
             )
         for drawing, x, y, tile_sequence in chosen:
-            reply = tile_reply(drawing, x, y, tile_sequence, self.identity, len(chosen))
-            yield self.keys.tile(drawing.frozen.level, x, y), reply
+            yield self.keys.tile(drawing.frozen.level, x, y), drawing.reply(x, y, tile_sequence, len(chosen))
 
     # Region ---------------------------------------------------------------------------------------------------------
 
@@ -266,8 +263,8 @@ class Reader:
 
     def _region_reply(self, asked: RegionQuery, cells: CellBox, cut: Cut[Any]) -> Iterator[Reply]:
         wanted = replace(self.wanted(asked), compression=None)
-        drawing = Drawing(cut.levels[0], cut.epoch, wanted, self.identity.frame_id, self._cache)
-        yield self.keys.region, region_reply(drawing, cells, asked.compression, self.identity)
+        drawing = Drawing(cut.levels[0], cut.epoch, wanted, self.identity, self._cache)
+        yield self.keys.region, region_reply(drawing, cells, asked.compression)
 
 
 def _sent(replies: Iterable[Reply], sequence: int, send: Send) -> Outcome:

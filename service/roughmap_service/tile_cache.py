@@ -6,29 +6,44 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from roughmap.cell import TILE_CELLS
+from roughmap_schemas.messages import TileInfo, model_bytes
 
-ENTRY_BYTES = 2048
-"""What an entry costs beside its payload: the key, the objects, the digest, the bits."""
+ENTRY_BYTES = 4096
+"""What an entry costs beside its payload: the key, the info and its JSON, the bits, the objects."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class DrawnTile:
-    """One state of a tile as a Grid's bytes, and what its TileInfo says of that state."""
+    """One state of a tile as a Grid's bytes, and what is said of that state."""
 
     payload: bytes
-    known_cells: int
-    oldest_ns: int
-    newest_ns: int
-    digest: str
+    info: TileInfo
+    """With map_sequence and answer_tiles 0: they are the answer's and not the tile's."""
+    attachment: tuple[bytes, bytes]
+    """That in JSON, what stands before and behind these two."""
     known: bytes
     """A bit a cell, row by row, as `numpy.packbits` makes them."""
 
+    def told(self, map_sequence: int, answer_tiles: int) -> bytes:
+        """The attachment in an answer."""
+        before, behind = self.attachment
+        return b'%b"map_sequence":%d,"answer_tiles":%d%b' % (before, map_sequence, answer_tiles, behind)
+
     def known_among(self, rows: slice, columns: slice) -> int:
         """How many cells of a part are known."""
+        if rows == columns == slice(0, TILE_CELLS):
+            return self.info.known_cells
         bits = np.unpackbits(np.frombuffer(self.known, np.uint8)).reshape(TILE_CELLS, TILE_CELLS)
         return int(np.count_nonzero(bits[rows, columns]))
+
+
+def drawn_tile(payload: bytes, info: TileInfo, known: npt.NDArray[np.bool_]) -> DrawnTile:
+    """A tile as drawn; ``info`` with map_sequence and answer_tiles 0, ``known`` (64, 64)."""
+    before, behind = model_bytes(info).split(b'"map_sequence":0,"answer_tiles":0')
+    return DrawnTile(payload, info, (before, behind), np.packbits(known).tobytes())
 
 
 class TileCache:

@@ -14,7 +14,7 @@ from roughmap.layers import ZERO_WHERE_UNKNOWN
 from roughmap.region import CellBox, overlap, tile_box
 from roughmap_schemas.grid import Compression, encode_grid, encode_packed, packed_data
 from roughmap_schemas.messages import TileInfo, model_bytes
-from roughmap_service.tile_cache import DrawnTile, TileCache
+from roughmap_service.tile_cache import DrawnTile, TileCache, drawn_tile
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,6 @@ class TileReply:
 
     payload: bytes
     attachment: bytes
-    info: TileInfo
 
 
 class NotDrawnYet(Exception):
@@ -76,12 +75,12 @@ class Drawing:
     """
 
     def __init__(
-        self, frozen: Frozen | Drawable, epoch: int, wanted: Wanted, frame_id: str, cache: TileCache | None = None
+        self, frozen: Frozen | Drawable, epoch: int, wanted: Wanted, identity: Identity, cache: TileCache | None = None
     ) -> None:
         self.frozen = frozen
         self.epoch = epoch
         self.wanted = wanted
-        self._frame_id = frame_id
+        self.identity = identity
         self._cache = cache
         # A tile's layers are as old as its sequence, but for the ages, which count from the map's newest point.
         now = frozen.newest_updated if "age" in wanted.layers else None
@@ -90,10 +89,18 @@ class Drawing:
     def tile(self, x: int, y: int, sequence: int) -> DrawnTile:
         """Tile (x, y), whose own sequence is ``sequence``; all unknown if there is none."""
         if self._cache is None:
-            return self._draw(x, y)
-        return self._cache.get((x, y, sequence, self._key), lambda: self._draw(x, y))
+            return self._draw(x, y, sequence)
+        return self._cache.get((x, y, sequence, self._key), lambda: self._draw(x, y, sequence))
 
-    def _draw(self, x: int, y: int) -> DrawnTile:
+    def reply(self, x: int, y: int, sequence: int, answer_tiles: int) -> TileReply:
+        """The same as one of so many replies.
+
+        A tile without a known cell answers too (all unknown, known_cells 0): one that a reset emptied.
+        """
+        drawn = self.tile(x, y, sequence)
+        return TileReply(drawn.payload, drawn.told(self.frozen.sequence, answer_tiles))
+
+    def _draw(self, x: int, y: int, sequence: int) -> DrawnTile:
         frozen, wanted = self.frozen, self.wanted
         if isinstance(frozen, Drawable):
             raise NotDrawnYet
@@ -106,46 +113,37 @@ class Drawing:
             (x * TILE_CELLS * frozen.cell_size, y * TILE_CELLS * frozen.cell_size),
             frozen.cell_size,
             newest_ns,
-            self._frame_id,
+            self.identity.frame_id,
             dtype=wanted.dtype,
             compression=wanted.compression,
         )
-        return DrawnTile(payload, known_cells, oldest_ns, newest_ns, frozen.digest(x, y), np.packbits(known).tobytes())
+        info = TileInfo(
+            map=self.identity.map,
+            instance=self.identity.instance,
+            epoch=self.epoch,
+            z=frozen.level,
+            x=x,
+            y=y,
+            sequence=sequence,
+            map_sequence=0,
+            answer_tiles=0,
+            oldest_ns=oldest_ns,
+            newest_ns=newest_ns,
+            known_cells=known_cells,
+            digest=frozen.digest(x, y),
+            configuration_digest=self.identity.configuration_digest,
+            compression=wanted.compression,
+        )
+        return drawn_tile(payload, info, known)
 
 
-def tile_reply(drawing: Drawing, x: int, y: int, sequence: int, identity: Identity, answer_tiles: int) -> TileReply:
-    """The reply of tile (x, y); ``sequence`` is the tile's own.
-
-    A tile without a known cell answers too (all unknown, known_cells 0): one that a reset emptied.
-    """
-    drawn = drawing.tile(x, y, sequence)
-    info = TileInfo(
-        map=identity.map,
-        instance=identity.instance,
-        epoch=drawing.epoch,
-        z=drawing.frozen.level,
-        x=x,
-        y=y,
-        sequence=sequence,
-        map_sequence=drawing.frozen.sequence,
-        answer_tiles=answer_tiles,
-        oldest_ns=drawn.oldest_ns,
-        newest_ns=drawn.newest_ns,
-        known_cells=drawn.known_cells,
-        digest=drawn.digest,
-        configuration_digest=identity.configuration_digest,
-        compression=drawing.wanted.compression,
-    )
-    return TileReply(drawn.payload, model_bytes(info), info)
-
-
-def region_reply(drawing: Drawing, cells: CellBox, compression: Compression, identity: Identity) -> TileReply:
+def region_reply(drawing: Drawing, cells: CellBox, compression: Compression) -> TileReply:
     """One Grid over the cells (i0, j0, i1, j1), half-open, whose tiles ``drawing`` must hold.
 
     A mosaic of tiles as they are drawn, without compression, for tile queries. Its stamps and its sequence are those of
     the tiles that it touches.
     """
-    frozen, wanted = drawing.frozen, drawing.wanted
+    frozen, wanted, identity = drawing.frozen, drawing.wanted, drawing.identity
     i0, j0, i1, j1 = cells
     x0, y0, x1, y1 = tile_box(cells)
     inside = (frozen.tiles >= (x0, y0)).all(axis=1) & (frozen.tiles <= (x1, y1)).all(axis=1)
@@ -161,9 +159,8 @@ def region_reply(drawing: Drawing, cells: CellBox, compression: Compression, ide
         up, rows = overlap(y, j0, j1)
         values = packed_data(drawn.payload, (TILE_CELLS, TILE_CELLS, len(wanted.layers)), wanted.dtype)
         packed[up, across] = values[rows, columns]
-        whole = rows == columns == slice(0, TILE_CELLS)
-        known_cells += drawn.known_cells if whole else drawn.known_among(rows, columns)
-        stamps.append((drawn.oldest_ns, drawn.newest_ns))
+        known_cells += drawn.known_among(rows, columns)
+        stamps.append((drawn.info.oldest_ns, drawn.info.newest_ns))
     info = TileInfo(
         map=identity.map,
         instance=identity.instance,
@@ -190,7 +187,7 @@ def region_reply(drawing: Drawing, cells: CellBox, compression: Compression, ide
         identity.frame_id,
         compression=compression,
     )
-    return TileReply(payload, model_bytes(info), info)
+    return TileReply(payload, model_bytes(info))
 
 
 def tile_range(bbox: tuple[float, float, float, float], cell_size: float) -> tuple[int, int, int, int]:

@@ -18,7 +18,7 @@ from roughmap_schemas.encodings import GRID
 from roughmap_schemas.keys import Keys
 from roughmap_schemas.messages import UpdateRecord, model_bytes
 from roughmap_service.emptied import Emptied, without
-from roughmap_service.tile_reply import Drawing, Identity, Wanted, tile_reply
+from roughmap_service.tile_reply import Drawing, Identity, Wanted
 from roughmap_service.view import View
 
 LOG = logging.getLogger(__name__)
@@ -181,22 +181,23 @@ class Updates:
             changed = frozen.sequences > (told_sequence if epoch == told_epoch else -1)
             tiles = zip(frozen.tiles[changed].tolist(), frozen.sequences[changed].tolist(), strict=True)
             gone = without(state.tiles, frozen.tiles)
-            drawing = Drawing(frozen, epoch, self._wanted, self._identity.frame_id)
+            drawing = Drawing(frozen, epoch, self._wanted, self._identity)
             for (x, y), sequence in [*tiles, *((tile, frozen.sequence) for tile in gone.tolist())]:
-                reply = tile_reply(drawing, x, y, sequence, self._identity, 1)
+                drawn = drawing.tile(x, y, sequence)
                 key = self._keys.update(level, x, y)
                 # BLOCK, since the last change must come: a reader that stalls holds this thread up for 5 s at most,
                 # then its link is closed. Nothing but this thread waits for it.
                 self._session.put(
                     key,
-                    reply.payload,
+                    drawn.payload,
                     encoding=GRID,
-                    attachment=reply.attachment,
+                    attachment=drawn.told(frozen.sequence, 1),
                     congestion_control=zenoh.CongestionControl.BLOCK,
                 )
                 if self._mode == "records":
-                    record = UpdateRecord(key=key, info=reply.info)
-                    self._record("updates", model_bytes(record), reply.info.newest_ns)
+                    info = drawn.info.model_copy(update={"map_sequence": frozen.sequence, "answer_tiles": 1})
+                    record = UpdateRecord(key=key, info=info)
+                    self._record("updates", model_bytes(record), info.newest_ns)
                 elif self._mode == "grids":
-                    self._record("grids", reply.payload, reply.info.newest_ns)
+                    self._record("grids", drawn.payload, drawn.info.newest_ns)
             state.version, state.tiles = (epoch, frozen.sequence), frozen.tiles

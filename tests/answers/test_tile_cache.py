@@ -2,18 +2,24 @@
 
 from itertools import product
 
+import numpy as np
 from served import INSTANCE, RUN, T0, S, filled, some_points
 
 from roughmap_schemas import Config, Keys
+from roughmap_schemas.messages import TileInfo, parse_model
 from roughmap_service.emptied import Emptied
 from roughmap_service.reading import Reader
-from roughmap_service.tile_cache import ENTRY_BYTES, DrawnTile, TileCache
+from roughmap_service.tile_cache import ENTRY_BYTES, DrawnTile, TileCache, drawn_tile
 from roughmap_service.tile_reply import Identity
 from roughmap_service.view import View
 
 
 def drawn(size: int) -> DrawnTile:
-    return DrawnTile(bytes(size), 1, T0, T0, "0" * 32, bytes(512))
+    info = TileInfo(
+        map="site", instance=INSTANCE, epoch=5, z=0, x=1, y=2, sequence=3, map_sequence=0, answer_tiles=0,
+        oldest_ns=T0, newest_ns=T0, known_cells=0, digest="0" * 32, configuration_digest="0" * 32,
+    )  # fmt: skip
+    return drawn_tile(bytes(size), info, np.zeros((64, 64), np.bool_))
 
 
 def test_what_was_not_asked_for_the_longest_goes_first() -> None:
@@ -35,8 +41,15 @@ def test_what_was_not_asked_for_the_longest_goes_first() -> None:
 
 def test_a_tile_larger_than_the_limit_is_not_kept() -> None:
     cache = TileCache(1000)
-    assert cache.get("a", lambda: drawn(2000)) == drawn(2000)
+    assert cache.get("a", lambda: drawn(2000)).payload == bytes(2000)
     assert cache.nbytes == 0
+
+
+def test_what_is_told_of_a_tile_is_what_the_model_says() -> None:
+    tile = drawn(10)
+    told = tile.info.model_copy(update={"map_sequence": 12, "answer_tiles": 345})
+    assert parse_model(TileInfo, tile.told(12, 345)) == told
+    assert tile.told(12, 345) == told.model_dump_json().encode()
 
 
 def answer(reader: Reader, what: str, parameters: str) -> list[tuple]:
