@@ -20,6 +20,7 @@ COMMANDS = {
     "query": "ask a running service for a region: table, PNG, NPZ",
     "top": "watch a running service: rates, lag, rejections, robots, memory",
     "health": "does the service work? one line, exit 0 or 1",
+    "doctor": "would it work here? configuration, machine, network, robots",
     "build": "make a map.db from recorded clouds, without a service",
     "config": "show, check or describe the configuration",
 }
