@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import zenoh
 from live_service import live_service
-from net import open_listener, peer_config
+from net import peer_config
 
 from roughmap_schemas import encode_cloud, encode_odometry, encode_transform
 from roughmap_schemas.config import Config
@@ -23,6 +23,7 @@ from roughmap_service.cli.main import run
 from roughmap_service.intake import ENCODINGS
 from roughmap_service.log_file import Kind
 from roughmap_service.settings import Settings
+from roughmap_service.transport import endpoints
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 POINTS = np.ones((10, 3), np.float32)
@@ -246,8 +247,10 @@ def test_beside_a_service_that_is_up(tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_in_the_service_s_place_with_a_router_that_is_there_and_one_that_is_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with open_listener() as (_, endpoints), Publishing(endpoints[0]):
-        areas = heard(capsys, write(tmp_path, "tcp/127.0.0.1:0", endpoints[0]))
+    with zenoh.open(peer_config(listen=True, mode="router")) as router:
+        (endpoint,) = endpoints(router)
+        with Publishing(endpoint):
+            areas = heard(capsys, write(tmp_path, "tcp/127.0.0.1:0", endpoint))
     assert areas["zenoh"] == ["ok", "ok"]
     with socket.create_server(("127.0.0.1", 0)) as other:
         gone = f"tcp/127.0.0.1:{other.getsockname()[1]}"
