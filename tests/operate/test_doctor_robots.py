@@ -224,7 +224,7 @@ class Publishing:
         self._thread.join()
 
     def _run(self) -> None:
-        with zenoh.open(peer_config(connect=[self._endpoint])) as session:
+        with zenoh.open(peer_config(connect=[self._endpoint], mode="client")) as session:
             for number in range(100_000):
                 now, seq = time.time_ns(), number.to_bytes(8, "little")
                 pose = encode_odometry(now, "map", (0, 0, 0), LEVEL, np.eye(6) * 1e-4)
