@@ -264,7 +264,12 @@ def _take_cut(config: Config, store: Store, cut: Cut, result: Recovered, memory:
         store.load_into(state.map, cut)
     else:
         stored = StoredTiles(store)
-        set_index(state.map, cut, stored, memory.spill.adopt(stored))
+        places = memory.spill.adopt(stored)
+        try:
+            set_index(state.map, cut, stored, places)
+        except StoreError:
+            memory.spill.release(places)
+            raise
     if cut.digest and state.map.digest() != cut.digest:
         raise DamagedStore(f"{store.path}: damaged (its tiles are not those of its cut)")
     state.epoch, state.input, state.record = cut.epoch, cut.input, cut.record

@@ -24,9 +24,9 @@ TILES = 40
 CLOUDS = 25
 """250 MiB in all, four times the limit."""
 
-SLACK = 24 * MIB
-"""The limit is looked at before each cloud, so one cloud's tiles (10 MiB) and its message may come on top; the rest is
-what the C library keeps of freed memory, a session that connects, and the threads of the first query."""
+SLACK = 64 * MIB
+"""The limit is looked at before each cloud and twice a second, so on top may come: one cloud's tiles (10 MiB), answers
+in the making (20 MiB for the larger region here), Zenoh's shared memory (two pools of 16 MiB at their first use)."""
 
 
 def strip(number: int) -> np.ndarray:
@@ -143,8 +143,6 @@ def test_a_damaged_tile_of_the_store_ends_the_service_by_name(tmp_path: Path) ->
         with pytest.raises(Exception, match=r"tile \(5, 0\) is damaged"):
             feed.client.region((33.0, 0.0, 35.0, 6.0))
         assert service.finished(READY_S) == 1
-    last = [line for line in service.err if "damaged" in line][-1]
-    assert "map.db: tile (5, 0) is damaged; move the file away to rebuild it" in last
-    (tmp_path / "map.db").rename(tmp_path / "map.db.damaged")
-    with running(tmp_path, **settings) as (_, feed):
+    assert any("map.db: tile (5, 0) is damaged" in line for line in service.err)
+    with running(tmp_path, **settings) as (_, feed):  # built anew from the log
         assert feed.client.status().tiles.resident == TILES
