@@ -4,11 +4,23 @@ import json
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import zenoh
 
-from roughmap_client.errors import IncompleteAnswer, MixedInstances, NoAnswer, QueryRefused, UnreadableAnswer, in_short
+from roughmap_client.access import endpoints_of, read_zenoh_file, told
+from roughmap_client.errors import (
+    BadArgument,
+    IncompleteAnswer,
+    MixedInstances,
+    NoAnswer,
+    QueryRefused,
+    UnreadableAnswer,
+    in_short,
+)
+from roughmap_schemas.config import without_secrets
 from roughmap_schemas.encodings import UNSAID
+from roughmap_schemas.faults import ConfigFault
 from roughmap_schemas.messages import QueryError
 
 ZENOH_TIMEOUT = b"Timeout"
@@ -129,20 +141,27 @@ def ask(
     return answer
 
 
-def open_session(connect: Sequence[str], timeout: float) -> zenoh.Session:
-    """A client session to the first endpoint that answers; it connects again by itself when that one comes back."""
-    config = zenoh.Config()
-    settings = {
-        "mode": "client",
-        "scouting/multicast/enabled": not connect,
-        "connect/endpoints": list(connect),
-        "connect/timeout_ms": int(timeout * 1000),
-    }
-    for path, value in settings.items():
-        config.insert_json5(path, json.dumps(value))
+def open_session(
+    connect: Sequence[str], timeout: float, config: zenoh.Config | str | Path | None = None
+) -> zenoh.Session:
+    """A client session to the first endpoint that answers; it connects again by itself when that one comes back.
+
+    ``config`` is a Zenoh configuration or its file, into which the rest is put. BadArgument for a file that is none.
+    """
     try:
-        return zenoh.open(config)
+        chosen = read_zenoh_file(config, "config") if isinstance(config, str | Path) else config or zenoh.Config()
+    except ConfigFault as fault:
+        raise BadArgument(str(fault)) from None
+    settings: dict[str, object] = {"mode": "client", "connect/timeout_ms": int(timeout * 1000)}
+    if connect or config is None:
+        settings |= {"connect/endpoints": list(connect), "scouting/multicast/enabled": not connect}
+    for path, value in settings.items():
+        chosen.insert_json5(path, json.dumps(value))
+    try:
+        return zenoh.open(chosen)
     except zenoh.ZError as error:
-        where = ", ".join(connect) or "any router or service found by scouting"
-        cause = str(error).split(" at /")[0][:120]  # not where in Zenoh's own sources it arose
-        raise NoAnswer(f"no connection to {where} within {timeout:g} s ({cause})") from None
+        where = ", ".join(map(without_secrets, endpoints_of(chosen, "connect")))
+        raise NoAnswer(
+            f"no connection to {where or 'any router or service found by scouting'} within {timeout:g} s "
+            f"({told(error, chosen)})"
+        ) from None

@@ -5,6 +5,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self, TypeVar
 
@@ -57,9 +58,11 @@ class RoughMapClient:
     """One map's reader and feeder; a context manager, usable from several threads.
 
     ``connect`` are Zenoh endpoints of the service or of a router, such as ``tcp/127.0.0.1:7447``; or give a ``session``
-    of your own, which is then left open at the end. ``timeout`` (s) bounds every call, and so does each call's own:
-    within it a question is asked again while nobody answers, so that a service that restarts meanwhile is waited for.
-    Coordinates and heights are metres in the map's frame, angles radians, stamps nanoseconds since the Unix epoch.
+    of your own, which is then left open at the end. ``config`` is a Zenoh configuration, or its file (JSON5), with
+    certificates, user and password, and endpoints where ``connect`` gives none. ``timeout`` (s) bounds every call, and
+    so does each call's own: within it a question is asked again while nobody answers, so that a service that restarts
+    meanwhile is waited for. Coordinates and heights are metres in the map's frame, angles radians, stamps nanoseconds
+    since the Unix epoch.
 
     All errors are RoughMapError: BadArgument before anything is asked; NoAnswer if none came within the time limit;
     QueryRefused with the service's code; IncompleteAnswer, MixedInstances and UnreadableAnswer for answers that must
@@ -73,6 +76,7 @@ class RoughMapClient:
         *,
         timeout: float = 10.0,
         session: zenoh.Session | None = None,
+        config: zenoh.Config | str | Path | None = None,
         keys: Mapping[str, str] | None = None,
     ) -> None:
         try:
@@ -83,7 +87,7 @@ class RoughMapClient:
         self._owned = session is None
         self._watches: weakref.WeakSet[Watch] = weakref.WeakSet()
         endpoints = [connect] if isinstance(connect, str) else list(connect)
-        self._session = open_session(endpoints, timeout) if session is None else session
+        self._session = open_session(endpoints, timeout, config) if session is None else session
 
     def __enter__(self) -> Self:
         return self

@@ -69,11 +69,15 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        where = ", ".join(map(without_secrets, endpoints_of(config, "listen"))) or "no listen endpoint"
-        raise TransportError(
-            f"zenoh can't be opened on {where} ({told(error, config)}); is the port in use? Set zenoh.listen to "
-            "another one"
-        ) from None
+        text = told(error, config)
+        if text.startswith("Unable to connect"):
+            mend = "is the router up there, and does it trust the certificate, or know user and password?"
+        else:
+            mend = "is the port in use? Set zenoh.listen to another one"
+        where = ", ".join(
+            without_secrets(one) for which in ("listen", "connect") for one in endpoints_of(config, which)
+        )
+        raise TransportError(f"zenoh can't be opened on {where or 'no endpoint'} ({text}); {mend}") from None
 
 
 def endpoints(session: zenoh.Session) -> list[str]:

@@ -123,7 +123,8 @@ def test_a_rover_that_nobody_hears(capsys: pytest.CaptureFixture[str]) -> None:
         ["simulate", "--connect", "tcp/127.0.0.1:1", "--wait", "0.2", "--rings", "4", "--columns", "8"], capsys
     )
     assert code == 1
-    assert "is `roughmap serve` up at tcp/127.0.0.1:1?" in err
+    assert "nobody answers on tcp/127.0.0.1:1 " in err
+    assert "is `roughmap serve` up there?" in err
     assert err.count("\n") == 1
 
 

@@ -122,8 +122,7 @@ def test_serve_refuses_and_is_allowed(tmp_path: Path) -> None:
     wide = {"listen": ["tcp/0.0.0.0:0"]}
     with Service(tmp_path / "refused", zenoh=wide) as service:
         assert service.finished(60) == 2
-        assert len(service.err) == 1, service.err
-        assert "tcp/0.0.0.0:0 is open to the network without TLS" in service.err[0]
+        assert "tcp/0.0.0.0:0 is open to the network without TLS" in service.err[-1]
         assert not service.log.exists()
     # 127.1 is loopback to the system, but nothing that we call so: no test listens on the network.
     with Service(tmp_path / "allowed", "--insecure", zenoh={"listen": ["tcp/127.1:0"]}) as service:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from roughmap_service.cli.doctor_findings import Finding, show
-from roughmap_service.cli.options import Failure, config_options, json_option, load, service_endpoints
+from roughmap_service.cli.options import Failure, config_options, json_option, load
 
 if TYPE_CHECKING:
     import zenoh
@@ -66,12 +66,12 @@ def _session(loaded: "LoadedConfig", stack: ExitStack) -> tuple["zenoh.Session |
     from roughmap_client import RoughMapClient
     from roughmap_client.errors import RoughMapError
     from roughmap_schemas.faults import ConfigFault
-    from roughmap_service.cli.connection import open_client
+    from roughmap_service.cli.connection import client_config, open_client
     from roughmap_service.transport import TransportError, open_session, zenoh_config
 
     config = loaded.config
     try:
-        session = stack.enter_context(open_client(config.zenoh, service_endpoints((), config.zenoh), REACH_S))
+        session = stack.enter_context(open_client(client_config(loaded, ()), REACH_S))
         client = RoughMapClient(config.map.name, session=session, timeout=REACH_S, keys=config.keys)
         status = client.status()
         told = f"the service is up for {status.uptime_s:.0f} s, health {status.health}; doctor listens beside it"
@@ -90,14 +90,14 @@ def _session(loaded: "LoadedConfig", stack: ExitStack) -> tuple["zenoh.Session |
 
 def _peers(loaded: "LoadedConfig") -> list[Finding]:
     """Each endpoint that the service is to connect to, asked by itself."""
-    from roughmap_service.cli.connection import open_client
+    from roughmap_service.cli.connection import client_config, open_client
 
     findings = []
     for endpoint in loaded.config.zenoh.connect:
         shown = endpoint.partition("#")[0]
         begun = time.monotonic()
         try:
-            open_client(loaded.config.zenoh, [endpoint], REACH_S).close()
+            open_client(client_config(loaded, [endpoint]), REACH_S).close()
         except Failure:
             mend = "is the router up, the address right, the way open (firewall), and do certificates fit?"
             findings.append(Finding("zenoh", "wrong", f"zenoh.connect: {shown} can't be reached", mend))

@@ -9,7 +9,8 @@ from typing import Any
 import click
 
 from roughmap_schemas.config import Config
-from roughmap_service.cli.options import Failure, config_options, json_option, load, reachable, service_endpoints
+from roughmap_schemas.config_load import LoadedConfig
+from roughmap_service.cli.options import Failure, config_options, json_option, load, reachable
 from roughmap_service.http_token import token_of
 
 TIMEOUT_S = 3.0
@@ -28,11 +29,12 @@ def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], a
     says which. An overloaded service works: it keeps what it can and counts the rest. Asks the page /readyz, or over
     Zenoh where http.listen is off or on a port that the system chooses.
     """
-    config = load(config_path, settings).config
+    loaded = load(config_path, settings)
+    config = loaded.config
     listen = config.http.listen
     by_http = listen is not None and not listen.endswith(":0")
     try:
-        problems = _ask_page(config) if by_http else _ask_status(config)
+        problems = _ask_page(config) if by_http else _ask_status(loaded)
     except Failure as error:
         problems = {"not_there": error.message}
     works = not problems.keys() - {"overloaded"}
@@ -64,14 +66,14 @@ def _ask_page(config: Config) -> dict[str, str]:
     return problems
 
 
-def _ask_status(config: Config) -> dict[str, str]:
+def _ask_status(loaded: LoadedConfig) -> dict[str, str]:
     """The problems that the status over Zenoh tells."""
     from roughmap_client import RoughMapClient
     from roughmap_client.errors import RoughMapError
-    from roughmap_service.cli.connection import open_client
+    from roughmap_service.cli.connection import client_config, open_client
 
-    endpoints = service_endpoints((), config.zenoh)
-    with open_client(config.zenoh, endpoints, TIMEOUT_S) as session:
+    config = loaded.config
+    with open_client(client_config(loaded, ()), TIMEOUT_S) as session:
         try:
             client = RoughMapClient(config.map.name, session=session, timeout=TIMEOUT_S, keys=config.keys)
             status = client.status()

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import click
 
 from roughmap_schemas.config_load import LoadedConfig, load_config
-from roughmap_schemas.sections import ENDPOINT_PATTERN, ZenohConfig
+from roughmap_schemas.sections import ENDPOINT_PATTERN
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -92,14 +92,13 @@ connect_option = click.option(
     help="Zenoh endpoint of the service or router, such as tcp/127.0.0.1:7447; may be given several times.",
 )
 
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-"""Where `serve` listens unless told otherwise, so that the commands find it without an option."""
-
-
-def service_endpoints(connect: tuple[str, ...], zenoh: ZenohConfig) -> list[str]:
-    """What was given, else where the configured service listens, if its ports are known, else the router it joins."""
-    known = [reachable(endpoint) for endpoint in zenoh.listen if not re.search(r":0([?#]|$)", endpoint)]
-    return list(connect) or known or zenoh.connect or [DEFAULT_ENDPOINT]
+zenoh_option = click.option(
+    "--zenoh",
+    "zenoh_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Zenoh configuration (JSON5) of this session: certificates, password, endpoints; in place of [zenoh].",
+)
 
 
 def reachable(address: str) -> str:

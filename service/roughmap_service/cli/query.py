@@ -16,7 +16,7 @@ from roughmap_service.cli.options import (
     json_option,
     load,
     load_pictures,
-    service_endpoints,
+    zenoh_option,
 )
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ Stats = dict[str, float | int | None]
 @click.option("--tolerance", type=click.FloatRange(0, min_open=True), help="Metres, for confidence_level.")
 @click.option("--map", "map_name", help="The map's name; without it, the configuration's.")
 @connect_option
+@zenoh_option
 @click.option("--timeout", type=click.FloatRange(0.1, 3600), default=10.0, show_default=True, help="Seconds.")
 @click.option("--png", type=click.Path(path_type=Path, dir_okay=False), help="Draw the layers side by side.")
 @click.option("--npz", type=click.Path(path_type=Path, dir_okay=False), help="Save the layers as arrays.")
@@ -49,6 +50,7 @@ def query(
     tolerance: float | None,
     map_name: str | None,
     connect: tuple[str, ...],
+    zenoh_file: Path | None,
     timeout: float,
     png: Path | None,
     npz: Path | None,
@@ -64,18 +66,20 @@ def query(
     from roughmap_client import NoAnswer, QueryRefused, RoughMapClient
     from roughmap_client.errors import BadArgument
     from roughmap_schemas.layers import LAYERS
+    from roughmap_service.cli.connection import client_config
 
     names = [name.strip() for name in layers.split(",")]
     for name in names:
         if name not in LAYERS:
             raise BadUse(f"unknown layer {name!r} (allowed: {', '.join(LAYERS)})")
     draw = load_pictures().draw if png is not None else None  # before asking: say at once what is missing
-    config = load(config_path, settings).config
+    loaded = load(config_path, settings)
+    config = loaded.config
     name = map_name or config.map.name
-    endpoints = service_endpoints(connect, config.zenoh)
+    session = client_config(loaded, connect, zenoh_file)
     begun = time.perf_counter()
     try:
-        with RoughMapClient(name, connect=endpoints, timeout=timeout, keys=config.keys) as client:
+        with RoughMapClient(name, config=session, timeout=timeout, keys=config.keys) as client:
             asked = time.perf_counter()
             region = client.region(bbox, names, level=level, tolerance=tolerance)
             answered = time.perf_counter()

@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roughmap_service.cli.options import DEFAULT_ENDPOINT, Failure, connect_option, json_option
+from roughmap_service.cli.options import Failure, config_options, connect_option, json_option, load, zenoh_option
 
 if TYPE_CHECKING:
-    import zenoh
-
     from roughmap_service.rover import Message
     from roughmap_service.rover_publish import Published, RoverPublisher
 
 
 @click.command
 @connect_option
+@zenoh_option
 @click.option("--robots", type=click.IntRange(1, 16), default=1, show_default=True, help="Number of rovers.")
 @click.option(
     "--duration", type=click.FloatRange(0.1, 86_400), default=20.0, show_default=True, help="Seconds to drive."
@@ -41,9 +40,11 @@ if TYPE_CHECKING:
 @click.option("--sensor-frame", default="lidar", show_default=True, help="Its sensor's frame, as configured.")
 @click.option("--start-ns", type=click.IntRange(0), help="Stamp of the first sweep; without it, now.")
 @click.option("--wait", type=click.FloatRange(0, 3600), default=15.0, show_default=True, help="Seconds for a service.")
+@config_options
 @json_option
 def simulate(
     connect: tuple[str, ...],
+    zenoh_file: Path | None,
     robots: int,
     duration: float,
     rate: float,
@@ -55,6 +56,8 @@ def simulate(
     sensor_frame: str,
     start_ns: int | None,
     wait: float,
+    config_path: Path | None,
+    settings: tuple[tuple[str, object], ...],
     as_json: bool,
 ) -> None:
     """roughmap simulate --duration 20
@@ -73,6 +76,9 @@ def simulate(
     With --from, the scans of a file are published with their poses as odometry. There the robot is the sensor:
     leave `translation` out. Millimetres or metres, one robot: what `roughmap build --help` says of scans in an NPZ.
     """
+    from roughmap_client.access import endpoints_of
+    from roughmap_schemas.config import without_secrets
+    from roughmap_service.cli.connection import client_config, open_client
     from roughmap_service.rover import rovers
     from roughmap_service.rover_play import recorded_messages
     from roughmap_service.rover_publish import NobodyListens, RoverPublisher, merged
@@ -86,33 +92,19 @@ def simulate(
         fleet = rovers(robots, seed, start, Scanner(rings=rings, columns=columns))
         messages = merged([rover.messages(duration) for rover in fleet])
         names = [rover.name for rover in fleet]
-    endpoints = list(connect) or [DEFAULT_ENDPOINT]
+    config = client_config(load(config_path, settings), connect, zenoh_file)
+    where = ", ".join(map(without_secrets, endpoints_of(config, "connect")))
     begun = time.monotonic()
     with (
-        _session(endpoints) as session,
+        open_client(config, wait) as session,
         RoverPublisher(session, names, patient=recording is not None or rate != 1) as publisher,
     ):
         try:
             publisher.wait_for_listeners(wait)
         except NobodyListens as error:
-            raise Failure(f"{error}; is `roughmap serve` up at {', '.join(endpoints)}?") from error
+            raise Failure(f"{error}; is `roughmap serve` up at {where}?") from error
         published = _play(publisher, messages, rate, None if recording else duration)
     _report(published, time.monotonic() - begun, as_json)
-
-
-def _session(endpoints: list[str]) -> "zenoh.Session":
-    import zenoh
-
-    config = zenoh.Config()
-    config.insert_json5("mode", '"peer"')
-    config.insert_json5("connect/endpoints", json.dumps(endpoints))
-    config.insert_json5("listen/endpoints", "[]")
-    config.insert_json5("scouting/multicast/enabled", "false")
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        cause = str(error).split(" at /")[0]  # not where in Zenoh's own sources it arose
-        raise Failure(f"no connection to {', '.join(endpoints)} ({cause}); see --connect") from error
 
 
 def _play(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from roughmap_service.cli.options import Failure, config_options, connect_option, json_option, load, service_endpoints
+from roughmap_service.cli.options import Failure, config_options, connect_option, json_option, load, zenoh_option
 
 if TYPE_CHECKING:
     from roughmap_client import RoughMapClient
@@ -21,6 +21,7 @@ PERIOD_S = 1.0
 @click.command
 @click.option("--map", "map_name", help="The map's name; without it, the configuration's.")
 @connect_option
+@zenoh_option
 @click.option("--timeout", type=click.FloatRange(0.1, 3600), default=5.0, show_default=True, help="Seconds.")
 @click.option("--once", is_flag=True, help="Print one frame and end.")
 @config_options
@@ -28,6 +29,7 @@ PERIOD_S = 1.0
 def top(
     map_name: str | None,
     connect: tuple[str, ...],
+    zenoh_file: Path | None,
     timeout: float,
     once: bool,
     config_path: Path | None,
@@ -41,13 +43,14 @@ def top(
     """
     from roughmap_client import NoAnswer, RoughMapClient
     from roughmap_schemas.keys import Keys
-    from roughmap_service.cli.connection import open_client
+    from roughmap_service.cli.connection import client_config, open_client
     from roughmap_service.cli.top_frame import Robots
 
-    config = load(config_path, settings).config
+    loaded = load(config_path, settings)
+    config = loaded.config
     name = map_name or config.map.name
     robots = Robots()
-    with open_client(config.zenoh, service_endpoints(connect, config.zenoh), timeout) as session:
+    with open_client(client_config(loaded, connect, zenoh_file), timeout) as session:
         session.declare_subscriber(
             Keys(name, config.keys).events, lambda sample: robots.take(sample.payload.to_bytes())
         )
