@@ -16,6 +16,7 @@ from pathlib import Path
 import core_rows
 import held_rows
 import latency_rows
+import memory_rows
 import pictures
 import query_rows
 import service_rows
@@ -29,6 +30,7 @@ GROUPS: dict[str, Callable[[Bench], list[Row]]] = {
     "service": service_rows.rows,
     "latency": latency_rows.rows,
     "queries": query_rows.rows,
+    "memory": memory_rows.rows,
     "start": start_rows.rows,
 }
 

@@ -15,7 +15,7 @@ ROWS = {
     "latency.65k.p50", "latency.65k.p99", "latency.131k.p50", "latency.131k.p99", "planner.p50", "planner.p99",
     "whole.10.p50", "whole.10.p99", "whole.50.p50", "whole.50.p99", "whole.200.p50", "whole.200.p99",
     "tile.idle.p50", "tile.idle.p99", "tile.loaded.p50", "tile.loaded.p99", "region.region", "region.tiles", "derive",
-    "start", "start.stored",
+    "memory.dense", "memory.drive", "memory.spilling", "start", "start.stored",
 }  # fmt: skip
 """Those that must be there."""
 
