@@ -25,12 +25,13 @@ def pivots(a: Scalar, b: Scalar, c: Scalar, d: Scalar, e: Scalar, f: Scalar) -> 
 
 
 @kernel
-def raise_eigenvalues(S: F8, n: int, least: float) -> Scalar:
-    """Raise the eigenvalues of the matrix S[:, n] (upper triangle) below ``least`` to it, in place; the determinant.
+def raise_eigenvalues(planes: F8, first: int, n: int, least: float) -> Scalar:
+    """Raise the eigenvalues below ``least`` of the matrix in planes[first :, n] (upper triangle); its determinant.
 
     A matrix with none below it stays as it is. Cyclic Jacobi rotations; nothing but ``sqrt`` is needed.
     """
-    a00, a01, a02, a11, a12, a22 = S[0, n], S[1, n], S[2, n], S[3, n], S[4, n], S[5, n]
+    a00, a01, a02 = planes[first, n], planes[first + 1, n], planes[first + 2, n]
+    a11, a12, a22 = planes[first + 3, n], planes[first + 4, n], planes[first + 5, n]
     v00, v01, v02 = 1.0, 0.0, 0.0
     v10, v11, v12 = 0.0, 1.0, 0.0
     v20, v21, v22 = 0.0, 0.0, 1.0
@@ -57,12 +58,12 @@ def raise_eigenvalues(S: F8, n: int, least: float) -> Scalar:
         v21, v22 = c * v21 - s * v22, s * v21 + c * v22
     e0, e1, e2 = max(a00, least), max(a11, least), max(a22, least)
     if a00 < least or a11 < least or a22 < least:
-        S[0, n] = v00 * v00 * e0 + v01 * v01 * e1 + v02 * v02 * e2
-        S[1, n] = v00 * v10 * e0 + v01 * v11 * e1 + v02 * v12 * e2
-        S[2, n] = v00 * v20 * e0 + v01 * v21 * e1 + v02 * v22 * e2
-        S[3, n] = v10 * v10 * e0 + v11 * v11 * e1 + v12 * v12 * e2
-        S[4, n] = v10 * v20 * e0 + v11 * v21 * e1 + v12 * v22 * e2
-        S[5, n] = v20 * v20 * e0 + v21 * v21 * e1 + v22 * v22 * e2
+        planes[first, n] = v00 * v00 * e0 + v01 * v01 * e1 + v02 * v02 * e2
+        planes[first + 1, n] = v00 * v10 * e0 + v01 * v11 * e1 + v02 * v12 * e2
+        planes[first + 2, n] = v00 * v20 * e0 + v01 * v21 * e1 + v02 * v22 * e2
+        planes[first + 3, n] = v10 * v10 * e0 + v11 * v11 * e1 + v12 * v12 * e2
+        planes[first + 4, n] = v10 * v20 * e0 + v11 * v21 * e1 + v12 * v22 * e2
+        planes[first + 5, n] = v20 * v20 * e0 + v21 * v21 * e1 + v22 * v22 * e2
     return e0 * e1 * e2
 
 
@@ -80,23 +81,22 @@ def _rotation(p: Scalar, q: Scalar, r: Scalar) -> Scalar:
 
 
 @inline
-def _height(U: Scalar) -> Scalar:
+def height(U: Scalar) -> Scalar:
     """Half the chord of the unit disk at ``U``; 0 outside."""
-    return math.sqrt((1.0 - U) * (1.0 + U)) if abs(U) < 1.0 else 0.0
+    square = (1.0 - U) * (1.0 + U)
+    return math.sqrt(square if square > 0.0 else 0.0)
 
 
 @inline
-def _half_plane(U: Scalar, height: Scalar, arc: Scalar) -> Scalar:
-    """Share of the unit disk with u <= U."""
-    if U <= -1.0:
-        return 0.0
-    if U >= 1.0:
-        return 1.0
-    return 1.0 - (arc - U * height) / math.pi
+def half_plane(U: Scalar, chord: Scalar, arc: Scalar) -> Scalar:
+    """Share of the unit disk with u <= U; ``chord``: its `height` at U, ``arc``: the `angle` of both."""
+    share = 1.0 - (arc - U * chord) / math.pi
+    share = 0.0 if U <= -1.0 else share
+    return 1.0 if U >= 1.0 else share
 
 
 @inline
-def _corner(
+def corner_share(
     U: Scalar,
     su: Scalar,
     arc_u: Scalar,
@@ -109,32 +109,26 @@ def _corner(
     beta: Scalar,
     arc_rho: Scalar,
 ) -> Scalar:
-    """Share of the unit disk with u <= U and rho u + beta v <= V.
+    """Share of the unit disk with u <= U and rho u + beta v <= V. A choice among numbers: loops are vectorised.
 
     ``su``, ``arc_u``, ``left``: chord, angle and share of the line at U; the same of V; ``arc_rho`` = angle(rho, beta).
     """
-    if U <= -1.0 or V <= -1.0:
-        return 0.0
-    if U >= 1.0:
-        return below
-    if V >= 1.0:
-        return left
+    # Where the lines cross inside the disk: a sector from chord to chord, and two triangles to the crossing.
     rise = V - rho * U
-    if rise * rise < beta * beta * (su * su):
-        # The lines cross inside the disk: a sector from chord to chord, and two triangles to the crossing.
-        pv = rise / beta
-        bu = V * rho - sv * beta
-        bv = V * beta + sv * rho
-        triangles = (U * bv - pv * bu) + (U * pv + su * U)
-        return (2.0 * math.pi - arc_u - arc_v - arc_rho + triangles) / (2.0 * math.pi)
-    # They do not: each chord lies wholly on one side of the other line, as its middle does.
+    pv = rise / beta
+    bu = V * rho - sv * beta
+    bv = V * beta + sv * rho
+    triangles = (U * bv - pv * bu) + (U * pv + su * U)
+    crossed = (2.0 * math.pi - arc_u - arc_v - arc_rho + triangles) / (2.0 * math.pi)
+    # Where they do not: each chord lies wholly on one side of the other line, as its middle does.
     u_inside = rho * U < V
     v_inside = rho * V < U
-    if u_inside and v_inside:
-        return left + below - 1.0
-    if u_inside:
-        return left
-    return below if v_inside else 0.0
+    apart = below if v_inside else 0.0
+    apart = (left + below - 1.0 if v_inside else left) if u_inside else apart
+    share = crossed if rise * rise < beta * beta * (su * su) else apart
+    share = left if V >= 1.0 else share
+    share = below if U >= 1.0 else share
+    return 0.0 if (U <= -1.0) | (V <= -1.0) else share
 
 
 @inline
@@ -151,21 +145,20 @@ def ellipse_shares(
     nj: Scalar,
     a: Scalar,
     lines: F8,
-    row: F8,
     shares: F8,
 ) -> Scalar:
     """Shares of the ellipse in the cells i0 .. i0 + ni - 1, j0 .. j0 + nj - 1, row by row; the largest.
 
-    (x, y): centre. (ex, ey): half extents k sx, k sy. ``lines`` (4, >= ni + 1) and ``row`` (>= ni + 1) are scratch.
+    (x, y): centre. (ex, ey): half extents k sx, k sy. ``lines`` (5, >= ni + 1) is scratch.
     """
     for i in range(ni + 1):
         U = ((i0 + i) * a - x) / ex
-        su = _height(U)
+        su = height(U)
         arc = angle(U, su)
         lines[0, i] = U
         lines[1, i] = su
         lines[2, i] = arc
-        lines[3, i] = _half_plane(U, su, arc)
+        lines[3, i] = half_plane(U, su, arc)
     largest = 0.0
     if nj == 1:
         for i in range(ni):
@@ -176,18 +169,18 @@ def ellipse_shares(
     arc_rho = angle(rho, beta)
     for j in range(nj + 1):
         V = ((j0 + j) * a - y) / ey
-        sv = _height(V)
+        sv = height(V)
         arc = angle(V, sv)
-        below = _half_plane(V, sv, arc)
+        below = half_plane(V, sv, arc)
         before = 0.0
         under = 0.0
         for i in range(ni + 1):
-            g = _corner(lines[0, i], lines[1, i], lines[2, i], lines[3, i], V, sv, arc, below, rho, beta, arc_rho)
+            g = corner_share(lines[0, i], lines[1, i], lines[2, i], lines[3, i], V, sv, arc, below, rho, beta, arc_rho)
             if i > 0 and j > 0:
-                p = max((g - before) - (row[i] - under), 0.0)
+                p = max((g - before) - (lines[4, i] - under), 0.0)
                 shares[(j - 1) * ni + i - 1] = p
                 largest = max(largest, p)
             before = g
-            under = row[i]
-            row[i] = g
+            under = lines[4, i]
+            lines[4, i] = g
     return largest

@@ -7,7 +7,8 @@ import numpy as np
 from roughmap.arrays import F8, I4, U1, Scalar
 from roughmap.cell import PointReason
 from roughmap.ellipse import ellipse_shares, pivots, raise_eigenvalues
-from roughmap.jit import inline, kernel
+from roughmap.jit import inline
+from roughmap.place import BLOCK, S, X, Y, Z
 
 POINT, CUBOID, ELLIPSOID = 0, 1, 2
 ERROR_MODELS = ("point", "cuboid", "ellipsoid")
@@ -83,14 +84,15 @@ def _cell_number(f: Scalar) -> Scalar:
     return np.int32(f if (f >= _INT_MIN) & (f <= _INT_MAX) else 0.0)
 
 
-@kernel
-def bound_points(x: F8, y: F8, z: F8, reason: U1, cells: I4, a: float, area: Scalar) -> None:
+@inline
+def bound_points(planes: F8, reason: U1, cells: I4, a: float, area: Scalar) -> None:
     """`point`: the cell of each point. ``cells`` (4, BLOCK): i0, j0, i1, j1 of the footprint, both ends in it."""
-    for n in range(len(x)):
-        f = math.floor(x[n] / a) + 0.0
-        g = math.floor(y[n] / a) + 0.0
+    for n in range(BLOCK):
+        x, y, z = planes[X, n], planes[Y, n], planes[Z, n]
+        f = math.floor(x / a) + 0.0
+        g = math.floor(y / a) + 0.0
         before = reason[n]
-        judged = _judge_place(before, x[n], y[n], z[n], f, f, g, g, area)
+        judged = _judge_place(before, x, y, z, f, f, g, g, area)
         reason[n] = judged if before == 0 else before
         i = _cell_number(f)
         j = _cell_number(g)
@@ -102,18 +104,16 @@ def bound_points(x: F8, y: F8, z: F8, reason: U1, cells: I4, a: float, area: Sca
 
 @inline
 def _bound(
-    n: Scalar, x: F8, y: F8, z: F8, reason: U1, cells: I4, ex: Scalar, ey: Scalar, good: Scalar, wide: Scalar,
-    a: Scalar, area: Scalar,
-) -> None:  # fmt: skip
-    """Cells and reason of a point with half extents ex, ey."""
-    f0 = np.floor((x[n] - ex) / a)
-    g0 = np.floor((y[n] - ey) / a)
-    f1 = np.floor((x[n] + ex) / a)
-    g1 = np.floor((y[n] + ey) / a)
+    n: Scalar, planes: F8, reason: U1, cells: I4, ex: Scalar, ey: Scalar, before: Scalar, a: Scalar, area: Scalar
+) -> None:
+    """Cells and reason of a point with half extents ex, ey; ``before``: what its covariance is rejected for, or 0."""
+    x, y, z = planes[X, n], planes[Y, n], planes[Z, n]
+    f0 = np.floor((x - ex) / a)
+    g0 = np.floor((y - ey) / a)
+    f1 = np.floor((x + ex) / a)
+    g1 = np.floor((y + ey) / a)
     earlier = reason[n]
-    before = np.uint8(_UNCERTAIN) if wide else np.uint8(0)
-    before = before if good else np.uint8(_COVARIANCE)
-    judged = _judge_place(before, x[n], y[n], z[n], f0, f1, g0, g1, area)
+    judged = _judge_place(before, x, y, z, f0, f1, g0, g1, area)
     reason[n] = judged if earlier == 0 else earlier
     cells[0, n] = _cell_number(f0)
     cells[1, n] = _cell_number(g0)
@@ -121,63 +121,80 @@ def _bound(
     cells[3, n] = _cell_number(g1)
 
 
-@kernel
-def bound_cuboids(
-    x: F8, y: F8, z: F8, S: F8, reason: U1, cells: I4, body: F8, a: float, area: Scalar, error: Scalar
-) -> None:
-    """`cuboid`, a block: cells, reasons, and ``body`` (5, BLOCK): rx, ry, q = w / p = a / (rx ry rz).
+@inline
+def _covariance(planes: F8, n: Scalar) -> Scalar:
+    """The upper triangle of a point's covariance."""
+    return planes[S, n], planes[S + 1, n], planes[S + 2, n], planes[S + 3, n], planes[S + 4, n], planes[S + 5, n]
 
-    ``S`` (6, >= n): upper triangles. ``area``: xmin, ymin, xmax, ymax, half-open, metres. ``error``: coverage,
+
+@inline
+def _judge_size(good: Scalar, wide: Scalar) -> Scalar:
+    """What a covariance is rejected for, or 0."""
+    before = np.uint8(_UNCERTAIN) if wide else np.uint8(0)
+    return before if good else np.uint8(_COVARIANCE)
+
+
+@inline
+def bound_cuboids(planes: F8, reason: U1, cells: I4, body: F8, q: F8, a: float, area: Scalar, error: Scalar) -> None:
+    """`cuboid`, a block: cells, reasons, ``body`` (>= 2, BLOCK): rx, ry; ``q`` = w / p = a / (rx ry rz).
+
+    ``planes``: of the block, see `place`. ``area``: xmin, ymin, xmax, ymax, half-open, metres. ``error``: coverage,
     min_radius, max_horizontal_radius. Points that have a reason keep it.
     """
     k, least, widest = error
-    for n in range(len(x)):
-        xx, yy, zz = S[0, n], S[3, n], S[5, n]
+    for n in range(BLOCK):
+        xx, xy, xz, yy, yz, zz = _covariance(planes, n)
         sx = k * math.sqrt(xx)
         sy = k * math.sqrt(yy)
         rx = max(sx, least)
         ry = max(sy, least)
         rz = max(k * math.sqrt(zz), least)
-        q = a / (rx * ry * rz)
-        good = _judge_covariance(xx, S[1, n], S[2, n], yy, S[4, n], zz) & (q > _DENSITY_MIN) & (q < _DENSITY_MAX)
-        _bound(n, x, y, z, reason, cells, rx, ry, good, max(sx, sy) > widest, a, area)
+        density = a / (rx * ry * rz)
+        good = _judge_covariance(xx, xy, xz, yy, yz, zz)
+        good &= (density > _DENSITY_MIN) & (density < _DENSITY_MAX)
+        _bound(n, planes, reason, cells, rx, ry, _judge_size(good, max(sx, sy) > widest), a, area)
         body[0, n] = rx
         body[1, n] = ry
-        body[2, n] = q
+        q[n] = density
 
 
-@kernel
+@inline
 def bound_ellipsoids(
-    x: F8, y: F8, z: F8, S: F8, reason: U1, cells: I4, body: F8, a: float, area: Scalar, error: Scalar
+    planes: F8, reason: U1, cells: I4, body: F8, q: F8, judged: U1, a: float, area: Scalar, error: Scalar
 ) -> None:
-    """`ellipsoid`, a block: as `bound_cuboids`, with ``body``: k sx, k sy, q = a / (k^3 sqrt(det S)), rho, beta.
+    """`ellipsoid`, a block: as `bound_cuboids`, with ``body``: k sx, k sy, rho, beta; ``q`` = a / (k^3 sqrt(det S)).
 
-    Where an eigenvalue is below (min_radius / k)^2 it is raised to it in ``S``, in place.
+    Where an eigenvalue is below (min_radius / k)^2 it is raised to it in ``planes``. ``judged`` is scratch.
     """
     k, least, widest = error
     floor = (least / k) * (least / k)
-    for n in range(len(x)):
-        xx, xy, xz, yy, yz, zz = S[0, n], S[1, n], S[2, n], S[3, n], S[4, n], S[5, n]
+    thin = np.int64(0)
+    for n in range(BLOCK):
+        xx, xy, xz, yy, yz, zz = _covariance(planes, n)
         good = _judge_covariance(xx, xy, xz, yy, yz, zz)
-        wide = k * math.sqrt(max(xx, yy)) > widest
+        judged[n] = _judge_size(good, k * math.sqrt(max(xx, yy)) > widest)
         d0, d1, d2 = pivots(xx, xy, xz, yy, yz, zz)
-        det = d0 * d1 * d2
         m0, m1, m2 = pivots(xx - floor, xy, xz, yy - floor, yz, zz - floor)
-        thin = not ((m0 > 0.0) & (m1 > 0.0) & (m2 > 0.0))
-        if thin and good and reason[n] == 0:
-            det = raise_eigenvalues(S, n, floor)
-            xx, xy, yy = S[0, n], S[1, n], S[3, n]
+        thick = (m0 > 0.0) & (m1 > 0.0) & (m2 > 0.0)
+        q[n] = d0 * d1 * d2 if thick else -1.0
+        thin += np.int64(0) if thick else np.int64(1)
+    if thin:
+        for n in range(BLOCK):
+            if q[n] == -1.0 and judged[n] != _COVARIANCE and reason[n] == 0:
+                q[n] = raise_eigenvalues(planes, S, n, floor)
+    for n in range(BLOCK):
+        xx, xy, _, yy, _, _ = _covariance(planes, n)
         ex = k * math.sqrt(xx)
         ey = k * math.sqrt(yy)
-        q = a / (k * k * k * math.sqrt(det))
-        good = good & (q > _DENSITY_MIN) & (q < _DENSITY_MAX)
-        _bound(n, x, y, z, reason, cells, ex, ey, good, wide, a, area)
+        density = a / (k * k * k * math.sqrt(q[n]))
+        before = judged[n] if (density > _DENSITY_MIN) & (density < _DENSITY_MAX) else np.uint8(_COVARIANCE)
+        _bound(n, planes, reason, cells, ex, ey, before, a, area)
         product = xx * yy
         body[0, n] = ex
         body[1, n] = ey
-        body[2, n] = q
-        body[3, n] = xy / math.sqrt(product)
-        body[4, n] = math.sqrt(max(product - xy * xy, 0.0) / product)
+        body[2, n] = xy / math.sqrt(product)
+        body[3, n] = math.sqrt(max(product - xy * xy, 0.0) / product)
+        q[n] = density
 
 
 @inline
@@ -191,7 +208,7 @@ def _cuboid_shares(
     ni: Scalar,
     nj: Scalar,
     a: Scalar,
-    row: F8,
+    lines: F8,
     shares: F8,
 ) -> Scalar:
     """Shares of [x-rx, x+rx] x [y-ry, y+ry] in the cells, row by row; the largest.
@@ -203,7 +220,7 @@ def _cuboid_shares(
     for i in range(ni):
         after = min(max((i0 + i + 1) * a - x, -rx), rx)
         p = max(after - before, 0.0) / (2.0 * rx)
-        row[i] = p
+        lines[4, i] = p
         widest = max(widest, p)
         before = after
     largest = 0.0
@@ -212,35 +229,40 @@ def _cuboid_shares(
         after = min(max((j0 + j + 1) * a - y, -ry), ry)
         p = max(after - before, 0.0) / (2.0 * ry)
         for i in range(ni):
-            shares[j * ni + i] = p * row[i]
+            shares[j * ni + i] = p * lines[4, i]
         largest = max(largest, p * widest)
         before = after
     return largest
 
 
-@kernel
-def shares_of(model: int, n: int, x: float, y: float, cells: I4, body: F8, a: float, lines: F8, shares: F8) -> Scalar:
-    """Fill ``shares`` with the shares of point ``n`` of a block in the cells of its footprint, row by row; the largest.
+@inline
+def box_of(boxes: I4, n: Scalar) -> Scalar:
+    """Cells i0, j0, i1, j1 in row ``n``, wide enough for sums."""
+    return np.int64(boxes[n, 0]), np.int64(boxes[n, 1]), np.int64(boxes[n, 2]), np.int64(boxes[n, 3])
 
-    (x, y): its place. ``lines`` (5, >= cells along x + 1) is scratch.
+
+@inline
+def shares_of(model: Scalar, boxes: I4, bodies: F8, n: Scalar, a: Scalar, lines: F8, shares: F8) -> Scalar:
+    """Fill ``shares`` with the shares of a point in the cells of its footprint, row by row; the largest.
+
+    Row ``n`` of ``boxes``: cells i0, j0, i1, j1, both ends in it; of ``bodies``: x, y, half extents, rho, beta.
+    ``lines`` (5, >= cells along x + 1) is scratch.
     """
-    i0, j0 = np.int64(cells[0, n]), np.int64(cells[1, n])
-    ni = np.int64(cells[2, n]) - i0 + 1
-    nj = np.int64(cells[3, n]) - j0 + 1
-    if ni == 1 and nj == 1:
+    i0, j0, i1, j1 = box_of(boxes, n)
+    ni, nj = i1 - i0 + 1, j1 - j0 + 1
+    x, y, ex, ey = bodies[n, 0], bodies[n, 1], bodies[n, 2], bodies[n, 3]
+    if model == POINT or (ni == 1 and nj == 1):
         shares[0] = 1.0
         return 1.0
     if model == CUBOID:
-        largest = _cuboid_shares(x, y, body[0, n], body[1, n], i0, j0, ni, nj, a, lines[4], shares)
+        largest = _cuboid_shares(x, y, ex, ey, i0, j0, ni, nj, a, lines, shares)
     else:
-        largest = ellipse_shares(
-            x, y, body[0, n], body[1, n], body[3, n], body[4, n], i0, j0, ni, nj, a, lines, lines[4], shares
-        )
+        largest = ellipse_shares(x, y, ex, ey, bodies[n, 4], bodies[n, 5], i0, j0, ni, nj, a, lines, shares)
     if not largest > LEAST_SHARE:
         # The footprint is finer than float64's spacing at its place: all of it lies in the cell of its position.
         i: Scalar = min(max(np.int64(math.floor(x / a)) - i0, 0), ni - 1)
         j: Scalar = min(max(np.int64(math.floor(y / a)) - j0, 0), nj - 1)
-        shares[: ni * nj] = 0.0
-        shares[j * ni + i] = 1.0
+        for c in range(ni * nj):
+            shares[c] = 1.0 if c == j * ni + i else 0.0
         largest = 1.0
     return largest

@@ -1,10 +1,10 @@
-"""The loops over a scan: which tiles it touches, the ordered update, what then counts as changed."""
+"""Phase two of an `add`: the tiles of the odd points, and the ordered update of all cells."""
 
 import numpy as np
 
 from roughmap.arrays import F8, I4, I8, U1, U8, Scalar
 from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT
-from roughmap.footprint import LEAST_SHARE, POINT, shares_of
+from roughmap.footprint import LEAST_SHARE, POINT, box_of, shares_of
 from roughmap.index import find, place_key, tile_key
 from roughmap.jit import inline, kernel
 from roughmap.memory import prefetch
@@ -15,67 +15,32 @@ _MASK = np.int64(TILE_CELLS - 1)
 _SHIFT = np.int64(TILE_SHIFT)
 _ROW = np.uint64(TILE_CELLS)
 _BYTES = np.uint64(CELL_DTYPE.itemsize)
-_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+_EAST = _BYTES
+_NORTH = _ROW * _BYTES
+_ONE = np.uint64(1)
+_CORNER = np.uint64(TILE_SHIFT)
 
 
 @kernel
-def collect_tiles(
-    start: int,
-    model: int,
-    x: F8,
-    y: F8,
-    reason: U1,
-    cells: I4,
-    body: F8,
-    a: float,
-    window: Scalar,
-    min_share: float,
-    home: I4,
-    table: I4,
-    keys: U8,
-    work: I8,
-    number: int,
-    lines: F8,
-    shares: F8,
+def collect_odd(
+    start: int, stop: int, planes: Scalar, rules: Scalar, found: Scalar, number: int, lines: F8, shares: F8
 ) -> tuple[int, int]:
-    """Find the tiles in which points take part, from point ``start`` on, in the order of their first touch.
+    """Find the tiles in which those odd points of rows ``start`` to ``stop`` take part that lie in several.
 
-    A touched tile gets a row of ``keys`` and ``work`` (points), found by ``table``; ``home`` says for each point the
-    row of its tile, or -1 if its footprint lies in several or past the map's ``window`` (cells i0, j0, i1, j1, both
-    ends in it). Returns (point at which the table was half full, or N; rows used).
+    Stops early where the table of tiles in ``found`` has no room for those of another point, so that none is cut in
+    two. Returns (row at which it stopped, number of tiles).
     """
+    table, keys, work, _ = found
+    model, a, _, window, _, min_share = rules
     w0, v0, w1, v1 = window
-    last_key = np.uint64(0)
-    last_row: Scalar = np.int64(-1)
-    for n in range(start, len(x)):
-        home[n] = -1
-        if reason[n] != 0:
+    for n in range(start, stop):
+        if planes.odd_home[n] >= 0:
             continue
-        b, k = n // BLOCK, n % BLOCK
-        i0, j0, i1, j1 = _corners(cells, b, k)
+        i0, j0, i1, j1 = box_of(planes.odd_box, n)
         tx0, ty0, tx1, ty1 = i0 >> _SHIFT, j0 >> _SHIFT, i1 >> _SHIFT, j1 >> _SHIFT
-        # Room for all tiles of this point's footprint, so that a point is never cut in two.
         if 2 * (number + (tx1 - tx0 + 1) * (ty1 - ty0 + 1)) > len(table):
             return n, number
-        if tx0 == tx1 and ty0 == ty1 and i0 >= w0 and j0 >= v0 and i1 <= w1 and j1 <= v1:
-            key = tile_key(tx0, ty0)
-            if last_row < 0 or key != last_key:
-                last_key = key
-                last_row = find(table, keys, key)
-                if last_row < 0:
-                    last_row = number
-                    keys[number] = key
-                    work[number] = 0
-                    place_key(table, key, number)
-                    number += 1
-            home[n] = last_row
-            work[last_row] += 1
-            continue
-        least = 0.0
-        if model != POINT:
-            least = min_share * shares_of(model, k, x[n], y[n], cells[b], body[b], a, lines, shares)
-        else:
-            shares[0] = 1.0
+        least = min_share * shares_of(model, planes.odd_box, planes.odd_body, n, a, lines, shares)
         ni = i1 - i0 + 1
         for ty in range(ty0, ty1 + 1):
             for tx in range(tx0, tx1 + 1):
@@ -94,21 +59,17 @@ def collect_tiles(
                         place_key(table, key, number)
                         number += 1
                     work[row] += 1
-    return len(x), number
+    return stop, number
 
 
 @inline
-def _corners(cells: I4, b: Scalar, k: Scalar) -> Scalar:
-    return np.int64(cells[b, 0, k]), np.int64(cells[b, 1, k]), np.int64(cells[b, 2, k]), np.int64(cells[b, 3, k])
-
-
-@inline
-def _enqueue(
+def _enqueue_odd(
     queue: Scalar,
     count: Scalar,
     n: Scalar,
     address: Scalar,
     bits: U8,
+    row: Scalar,
     q: Scalar,
     i0: Scalar,
     j0: Scalar,
@@ -139,27 +100,80 @@ def _enqueue(
             count += taken
             changed |= taken << column
             prefetch(where)
-        bits[line] |= changed
+        bits[row, line] |= changed
     return count
+
+
+@inline
+def _enqueue_plain(
+    queue: Scalar, count: Scalar, n: Scalar, where: Scalar, corner: Scalar, bits: U8, row: Scalar, weight: F8
+) -> Scalar:  # fmt: skip
+    """The same for the 2 x 2 cells from the one at ``where`` on.
+
+    Arrays are never cut to a row in here: each cut would count references, which costs more than the rest.
+    """
+    b, k = np.uint64(n) // np.uint64(BLOCK), np.uint64(n) % np.uint64(BLOCK)
+    cell, heavy, point = queue
+    w0, w1 = weight[b, np.uint64(0), k], weight[b, np.uint64(1), k]
+    w2, w3 = weight[b, np.uint64(2), k], weight[b, np.uint64(3), k]
+    t0, t1, t2, t3 = np.uint64(w0 > 0.0), np.uint64(w1 > 0.0), np.uint64(w2 > 0.0), np.uint64(w3 > 0.0)
+    prefetch(where)
+    prefetch(where + _EAST)
+    prefetch(where + _NORTH)
+    prefetch(where + _NORTH + _EAST)
+    cell[count] = where
+    heavy[count] = w0
+    point[count] = n
+    count += t0
+    cell[count] = where + _EAST
+    heavy[count] = w1
+    point[count] = n
+    count += t1
+    cell[count] = where + _NORTH
+    heavy[count] = w2
+    point[count] = n
+    count += t2
+    cell[count] = where + _NORTH + _EAST
+    heavy[count] = w3
+    point[count] = n
+    count += t3
+    line, column = corner >> _CORNER, corner & np.uint64(_MASK)
+    bits[row, line] |= (t0 | t1 << _ONE) << column
+    bits[row, (line + _ONE) & np.uint64(_MASK)] |= (t2 | t3 << _ONE) << column
+    return count
+
+
+@inline
+def _enqueue_point(
+    queue: Scalar, count: Scalar, n: Scalar, where: Scalar, corner: Scalar, bits: U8, row: Scalar
+) -> Scalar:
+    """The same for `point`: one cell, of weight 1."""
+    cell, heavy, point = queue
+    prefetch(where)
+    cell[count] = where
+    heavy[count] = 1.0
+    point[count] = n
+    bits[row, corner >> _CORNER] |= _ONE << (corner & np.uint64(_MASK))
+    return count + _ONE
+
+
+@inline
+def _widen(oldest: I8, newest: I8, row: Scalar, low: Scalar, high: Scalar) -> None:
+    """Widen a tile's stamps."""
+    oldest[row] = min(oldest[row], low)
+    newest[row] = max(newest[row], high)
 
 
 @kernel
 def update_tiles(
     part: int,
     owner: U1,
-    model: int,
-    x: F8,
-    y: F8,
-    z: F8,
-    reason: U1,
-    cells: I4,
-    body: F8,
+    edges: I8,
+    planes: Scalar,
     stamps: I8,
-    a: float,
-    window: Scalar,
-    min_share: float,
+    rules: Scalar,
     min_distance: float,
-    home: I4,
+    rows: I4,
     table: I4,
     keys: U8,
     address: U8,
@@ -172,96 +186,76 @@ def update_tiles(
 ) -> None:
     """Update the cells of the tiles that ``part`` owns, in the order of the points.
 
-    ``stamps``: one for all points, or one a point. ``bits`` (T, 64): a bit for each changed cell, rows along y.
+    ``edges`` (P + 1,): the ranges of points of phase one; ``rows`` (P, R): for the tiles that each found, their rows
+    here. ``stamps``: one for all points, or one a point. ``bits`` (T, 64): a bit for each changed cell, rows along y.
     ``oldest``, ``newest`` (T,) of the tiles' points are widened.
     """
+    model, a, _, window, _, min_share = rules
     w0, v0, w1, v1 = window
-    each = np.int64(1) if len(stamps) > 1 else np.int64(0)
+    timed = len(stamps) > 1
+    stamp = stamps[0]
     count = np.uint64(0)
-    for n in range(len(x)):
-        if reason[n] != 0:
-            continue
-        if count >= QUEUE:
-            drain(queue, count, z, body, stamps, model, min_distance)
-            count = np.uint64(0)
-        row = np.int64(home[n])
-        if row >= 0 and owner[row] != part:
-            continue
-        b, k = n // BLOCK, n % BLOCK
-        i0, j0, i1, j1 = _corners(cells, b, k)
-        ni = i1 - i0 + 1
-        least = 0.0
-        q = 1.0
-        shares[0] = 1.0
-        if model != POINT:
-            least = min_share * shares_of(model, k, x[n], y[n], cells[b], body[b], a, lines, shares)
-            q = body[b, 2, k]
-        stamp = stamps[n * each]
-        if row >= 0:
-            count = _enqueue(queue, count, n, address[row], bits[row], q, i0, j0, ni, i0, i1, j0, j1, least, shares)
-            oldest[row] = min(oldest[row], stamp)
-            newest[row] = max(newest[row], stamp)
-            continue
-        for ty in range(j0 >> _SHIFT, (j1 >> _SHIFT) + 1):
-            for tx in range(i0 >> _SHIFT, (i1 >> _SHIFT) + 1):
-                row = find(table, keys, tile_key(tx, ty))
-                if row < 0 or owner[row] != part:
+    # The tile of the last plain point and the stamps of those in a row that lay in it: written once a run, since
+    # another thread may be writing to the tile beside it, in the same cache line.
+    last: Scalar = np.int64(-1)
+    low, high = stamp, stamp
+    for found in range(len(edges) - 1):
+        translate = rows[found]
+        for n in range(edges[found], edges[found + 1]):
+            home = np.int64(planes.home[n])
+            if home == -1:
+                continue
+            if count >= QUEUE:
+                drain(queue, count, planes.z, planes.q, stamps, model, min_distance)
+                count = np.uint64(0)
+            if timed:
+                stamp = stamps[n]
+            if home >= 0:
+                row = np.int64(translate[home])
+                if owner[row] != part:
                     continue
-                i_low, i_high = max(i0, w0, tx << _SHIFT), min(i1, w1, (tx << _SHIFT) + _MASK)
-                j_low, j_high = max(j0, v0, ty << _SHIFT), min(j1, v1, (ty << _SHIFT) + _MASK)
-                before = count
-                count = _enqueue(
-                    queue, count, n, address[row], bits[row], q, i0, j0, ni, i_low, i_high, j_low, j_high, least, shares
+                corner = np.uint64(planes.corner[n])
+                where = address[row] + corner * _BYTES
+                if model == POINT:
+                    count = _enqueue_point(queue, count, n, where, corner, bits, np.uint64(row))
+                else:
+                    count = _enqueue_plain(queue, count, n, where, corner, bits, np.uint64(row), planes.weight)
+                if row != last:
+                    if last >= 0:
+                        _widen(oldest, newest, last, low, high)
+                    last, low, high = row, stamp, stamp
+                low, high = min(low, stamp), max(high, stamp)
+                continue
+            odd = -2 - home
+            row = np.int64(planes.odd_home[odd])
+            if row >= 0:
+                row = np.int64(translate[row])
+                if owner[row] != part:
+                    continue
+            i0, j0, i1, j1 = box_of(planes.odd_box, odd)
+            ni = i1 - i0 + 1
+            least = min_share * shares_of(model, planes.odd_box, planes.odd_body, odd, a, lines, shares)
+            q = planes.q[n] if model != POINT else 1.0
+            if row >= 0:
+                count = _enqueue_odd(
+                    queue, count, n, address[row], bits, row, q, i0, j0, ni, i0, i1, j0, j1, least, shares
                 )
-                if count != before:
-                    oldest[row] = min(oldest[row], stamp)
-                    newest[row] = max(newest[row], stamp)
-    drain(queue, count, z, body, stamps, model, min_distance)
-
-
-@inline
-def _low_bits(number: Scalar) -> Scalar:
-    """A word with the lowest ``number`` (cut to 0 .. 64) bits set."""
-    if number <= 0:
-        return np.uint64(0)
-    if number >= TILE_CELLS:
-        return _ALL
-    return (np.uint64(1) << np.uint64(number)) - np.uint64(1)
-
-
-@kernel
-def mark_changed(level: int, table: I4, keys: U8, sequence: I8, tx: I4, ty: I4, bits: U8, now: int) -> None:
-    """Give sequence ``now`` to the tiles of a level that changed, or whose one-cell ring changed.
-
-    ``tx``, ``ty`` (T,), ``bits`` (T, 64): level-0 tiles with their changed cells. A neighbour's ring is what lies
-    within one cell of this level, 2^level cells of level 0, of the border between them.
-    """
-    side = np.int64(1) << level
-    for n in range(len(tx)):
-        x = np.int64(tx[n]) >> level
-        y = np.int64(ty[n]) >> level
-        # The tile's place within its ancestor, in cells of level 0; the ancestor is 64 * side of them wide.
-        left = (np.int64(tx[n]) - (x << level)) << _SHIFT
-        foot = (np.int64(ty[n]) - (y << level)) << _SHIFT
-        west = _low_bits(side - left)
-        east = ~_low_bits(_MASK * side - left)
-        inner = np.uint64(0)
-        south = np.uint64(0)
-        north = np.uint64(0)
-        for j in range(TILE_CELLS):
-            row = bits[n, j]
-            inner |= row
-            south |= row if foot + j < side else np.uint64(0)
-            north |= row if foot + j >= _MASK * side else np.uint64(0)
-        for dy in range(-1, 2):
-            band = inner
-            band = south if dy < 0 else band
-            band = north if dy > 0 else band
-            for dx in range(-1, 2):
-                hit = band
-                hit = band & west if dx < 0 else hit
-                hit = band & east if dx > 0 else hit
-                if hit != 0:
-                    entry = find(table, keys, tile_key(x + dx, y + dy))
-                    if entry >= 0:
-                        sequence[entry] = now
+                _widen(oldest, newest, row, stamp, stamp)
+                continue
+            for ty in range(j0 >> _SHIFT, (j1 >> _SHIFT) + 1):
+                for tx in range(i0 >> _SHIFT, (i1 >> _SHIFT) + 1):
+                    row = find(table, keys, tile_key(tx, ty))
+                    if row < 0 or owner[row] != part:
+                        continue
+                    i_low, i_high = max(i0, w0, tx << _SHIFT), min(i1, w1, (tx << _SHIFT) + _MASK)
+                    j_low, j_high = max(j0, v0, ty << _SHIFT), min(j1, v1, (ty << _SHIFT) + _MASK)
+                    before = count
+                    count = _enqueue_odd(
+                        queue, count, n, address[row], bits, row, q, i0, j0, ni, i_low, i_high, j_low, j_high, least,
+                        shares,
+                    )  # fmt: skip
+                    if count != before:
+                        _widen(oldest, newest, row, stamp, stamp)
+    if last >= 0:
+        _widen(oldest, newest, last, low, high)
+    drain(queue, count, planes.z, planes.q, stamps, model, min_distance)

@@ -2,32 +2,50 @@
 
 import numpy as np
 
-from roughmap.arrays import F8, U1
-from roughmap.jit import kernel
-from roughmap.place import BLOCK, LEVERS, place_moving, place_still, pose_at, split
+from roughmap.arrays import F8, I8, U1, Scalar
+from roughmap.jit import inline, kernel
+from roughmap.place import BLOCK, PLANES, STRIDE, S, X, Y, Z, place_moving, place_still, pose_at
 from roughmap.scan import Limits, Noise, Scan, point_rules
+from roughmap.strided import read_points, source_of
 from roughmap.trajectory import Trajectory
 
 __all__ = ["Limits", "Noise", "Scan", "georeference"]
 
 
-@kernel
-def _fill(x: F8, y: F8, z: F8, reason: U1, S: F8, start: int, points: F8, covariance: F8) -> None:
-    for n in range(len(x)):
-        kept = reason[n] == 0
-        points[start + n, 0] = x[n] if kept else np.nan
-        points[start + n, 1] = y[n] if kept else np.nan
-        points[start + n, 2] = z[n] if kept else np.nan
-        c = covariance[start + n]
-        c[0, 0] = S[0, n] if kept else np.nan
-        c[0, 1] = S[1, n] if kept else np.nan
-        c[0, 2] = S[2, n] if kept else np.nan
-        c[1, 1] = S[3, n] if kept else np.nan
-        c[1, 2] = S[4, n] if kept else np.nan
-        c[2, 2] = S[5, n] if kept else np.nan
+@inline
+def _write(P: F8, why: U1, first: int, size: int, points: F8, covariance: F8, reason: U1) -> None:
+    for n in range(size):
+        kept = why[n] == 0
+        reason[first + n] = why[n]
+        points[first + n, 0] = P[X, n] if kept else np.nan
+        points[first + n, 1] = P[Y, n] if kept else np.nan
+        points[first + n, 2] = P[Z, n] if kept else np.nan
+        c = covariance[first + n]
+        c[0, 0] = P[S, n] if kept else np.nan
+        c[0, 1] = P[S + 1, n] if kept else np.nan
+        c[0, 2] = P[S + 2, n] if kept else np.nan
+        c[1, 1] = P[S + 3, n] if kept else np.nan
+        c[1, 2] = P[S + 4, n] if kept else np.nan
+        c[2, 2] = P[S + 5, n] if kept else np.nan
         c[1, 0] = c[0, 1]
         c[2, 0] = c[0, 2]
         c[2, 1] = c[1, 2]
+
+
+@kernel
+def _place_blocks(
+    source: Scalar, offsets: I8, moving: bool, stamp: int, way: Scalar, max_gap_ns: float, posed: bool, pose: Scalar,
+    rules: Scalar, planes: F8, why: U1, bracket: I8, points: F8, covariance: F8, reason: U1,
+) -> None:  # fmt: skip
+    number = len(points)
+    for first in range(0, number, BLOCK):
+        size = min(BLOCK, number - first)
+        read_points(source, first, size, planes)
+        if moving:
+            place_moving(planes, why, offsets, first, size, bracket, True, stamp, way, max_gap_ns, rules)
+        else:
+            place_still(planes, why, True, posed, pose, rules)
+        _write(planes, why, first, size, points, covariance, reason)
 
 
 def georeference(scan: Scan, trajectory: Trajectory, noise: Noise, limits: Limits | None = None) -> tuple[F8, F8, U1]:
@@ -38,20 +56,12 @@ def georeference(scan: Scan, trajectory: Trajectory, noise: Noise, limits: Limit
     """
     limits = limits or Limits()
     number = len(scan.points)
-    x, y, z = np.empty(number), np.empty(number), np.empty(number)
-    reason = np.zeros(number, np.uint8)
-    points, covariance = np.empty((number, 3)), np.empty((number, 3, 3))
-    levers, S, bracket = np.empty((LEVERS, BLOCK)), np.empty((6, BLOCK)), np.empty(BLOCK, np.int64)
-    split(scan.points, 0, number, x, y, z)
+    points, covariance, reason = np.empty((number, 3)), np.empty((number, 3, 3)), np.empty(number, np.uint8)
     way, gap = trajectory.arrays, limits.max_gap_ns
-    rules = point_rules(scan, noise, limits)
     posed, pose = pose_at(way, gap, scan.stamp_ns)
-    for start in range(0, number, BLOCK):
-        part = slice(start, min(start + BLOCK, number))
-        planes = (x[part], y[part], z[part], reason[part])
-        if scan.offsets_ns is None:
-            place_still(*planes, levers, S, True, posed, pose, rules)
-        else:
-            place_moving(*planes, scan.offsets_ns[part], bracket, levers, S, True, scan.stamp_ns, way, gap, rules)
-        _fill(*planes, S, start, points, covariance)
+    _place_blocks(
+        source_of(scan.points), scan.times, scan.offsets_ns is not None, scan.stamp_ns, way, gap, posed, pose,
+        point_rules(scan, noise, limits), np.zeros((PLANES, STRIDE)), np.zeros(BLOCK, np.uint8),
+        np.zeros(BLOCK, np.int64), points, covariance, reason,
+    )  # fmt: skip
     return points, covariance, reason

@@ -1,15 +1,17 @@
 """From bounded points to changed tiles: collect, make room, update in order, mark."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from roughmap.arrays import I4, I8, U1, U8
 from roughmap.cell import TILE_CELLS, TooManyTiles
-from roughmap.fused import collect_tiles, mark_changed, update_tiles
-from roughmap.index import find
+from roughmap.changes import mark_changed
+from roughmap.fused import collect_odd, update_tiles
+from roughmap.index import find, place_key
 from roughmap.jit import kernel
-from roughmap.settings import Settings
+from roughmap.settings import Rules, Settings
 from roughmap.tiles import TileTable
 from roughmap.workspace import Planes, ThreadScratch, Workspace
 
@@ -36,6 +38,22 @@ def _find_all(table: I4, keys: U8, wanted: U8, entries: I4) -> None:
 
 
 @kernel
+def _merge(table: I4, keys: U8, work: I8, number: int, found: U8, points: I8, rows: I4) -> int:
+    """Add a part's tiles to those of the parts before it; ``rows``: where each is. The number of tiles."""
+    for n in range(len(found)):
+        row = find(table, keys, found[n])
+        if row < 0:
+            row = number
+            keys[number] = found[n]
+            work[number] = 0
+            place_key(table, found[n], number)
+            number += 1
+        work[row] += points[n]
+        rows[n] = row
+    return number
+
+
+@kernel
 def _share_out(order: I8, work: I8, parts: int, owner: U1) -> None:
     """Give each tile, the busiest first, to the part that has the least to do."""
     load = np.zeros(parts, np.int64)
@@ -45,38 +63,47 @@ def _share_out(order: I8, work: I8, parts: int, owner: U1) -> None:
         load[least] += work[n]
 
 
-def _collect(planes: Planes, settings: Settings, space: Workspace) -> int:
-    """Fill ``space.tiles`` and ``planes.home``; the number of tiles in which points take part."""
-    tiles, scratch = space.tiles, space.scratch[0]
+def find_tiles(
+    start: int,
+    stop: int,
+    planes: Planes,
+    rules: Rules,
+    scratch: ThreadScratch,
+    geometry: Callable[[int, int, int, ThreadScratch], tuple[int, int, int]],
+) -> None:
+    """Phase one for a range of points: their ``geometry``, and the tiles in which they take part, in the scratch."""
+    tiles = scratch.tiles
     tiles.clear()
-    start, number = 0, 0
-    while True:
-        start, number = collect_tiles(
-            start,
-            settings.model,
-            planes.x,
-            planes.y,
-            planes.reason,
-            planes.cells,
-            planes.body,
-            settings.cell_size,
-            settings.window,
-            settings.min_share,
-            planes.home,
-            tiles.table,
-            tiles.keys,
-            tiles.work,
-            number,
-            scratch.lines,
-            scratch.shares,
+    at, odd = start, start
+    while at < stop:
+        at, odd, tiles.number = geometry(at, stop, odd, scratch)
+        if at < stop:
+            tiles.double()
+    at = start
+    while at < odd:
+        at, tiles.number = collect_odd(
+            at, odd, planes, rules, tiles.arrays, tiles.number, scratch.lines, scratch.shares
         )
-        if start == len(planes.x):
-            return number
-        tiles.double(number)
+        if at < odd:
+            tiles.double()
+
+
+def _merged(space: Workspace, parts: int) -> I4:
+    """Bring all parts' tiles together in the first one's; (P, R): the rows there of the tiles that each part found."""
+    first, *others = [scratch.tiles for scratch in space.scratch[:parts]]
+    rows = np.empty((parts, max(first.number, *(other.number for other in others), 1)), np.int32)
+    rows[0, : first.number] = np.arange(first.number)
+    for n, other in enumerate(others, 1):
+        while 2 * (first.number + other.number) > len(first.table):
+            first.double()
+        found, points = other.keys[: other.number], other.work[: other.number]
+        first.number = _merge(first.table, first.keys, first.work, first.number, found, points, rows[n])
+    return rows
 
 
 def integrate(
     planes: Planes,
+    edges: I8,
     stamps: I8,
     sequence: int,
     table: TileTable,
@@ -85,13 +112,17 @@ def integrate(
     max_new_tiles: int | None,
     max_tiles: int | None,
 ) -> tuple[I4, int]:
-    """Take up the bounded points in ``planes`` (with ``stamps``, one or one a point) as ``sequence``.
+    """Take up the points in ``planes`` (with ``stamps``, one or one a point) as ``sequence``.
 
-    Returns the changed tiles (T, 2), ascending, and the newest stamp in them (0 if none). `TooManyTiles` and
-    MemoryError come before anything is changed; so does what goes wrong when tiles are brought back from the shelf.
+    ``edges`` (P + 1,): the ranges of points whose tiles the first P threads' scratch holds. Returns the changed tiles
+    (T, 2), ascending, and the newest stamp in them (0 if none). `TooManyTiles` and MemoryError come before anything is
+    changed; so does what goes wrong when tiles are brought back from the shelf.
     """
-    number = _collect(planes, settings, space)
-    keys, work = space.tiles.keys[:number], space.tiles.work[:number]
+    parts = len(edges) - 1
+    rows = _merged(space, parts)
+    tiles = space.scratch[0].tiles
+    number = tiles.number
+    keys, work = tiles.keys[:number], tiles.work[:number]
     entries = np.empty(number, np.int32)
     base = table.levels[0]
     _find_all(base.table, base.keys, keys, entries)
@@ -113,27 +144,19 @@ def integrate(
     oldest[new], newest[new] = _NEVER_NS.max, _NEVER_NS.min
     address = table.pool.address[table.slot[entries]]
     owner = np.zeros(number, np.uint8)
-    parts = space.parts(len(planes.x))
     _share_out(np.argsort(-work, kind="stable"), work, parts, owner)
 
     def update(part: int, scratch: ThreadScratch) -> None:
         update_tiles(
             part,
             owner,
-            settings.model,
-            planes.x,
-            planes.y,
-            planes.z,
-            planes.reason,
-            planes.cells,
-            planes.body,
+            edges,
+            planes,
             stamps,
-            settings.cell_size,
-            settings.window,
-            settings.min_share,
+            settings.rules,
             settings.min_distance,
-            planes.home,
-            space.tiles.table,
+            rows,
+            tiles.table,
             keys,
             address,
             bits,

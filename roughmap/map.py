@@ -16,18 +16,17 @@ from roughmap.eviction import Eviction
 from roughmap.footprint import POINT
 from roughmap.frozen import Frozen, TileBox
 from roughmap.index import TileVersions, paired
-from roughmap.integrate import AddReport, integrate
+from roughmap.integrate import AddReport, find_tiles, integrate
 from roughmap.merge_cache import MergeCache
-from roughmap.place import BLOCK, pose_at, split
+from roughmap.place import BLOCK, pose_at
 from roughmap.region import Region, cell_box, read_region, tile_box
 from roughmap.scan import Limits, Noise, Scan, checked_integers, checked_points, checked_stamp, point_rules
 from roughmap.settings import Settings
 from roughmap.shelf import Shelf
+from roughmap.strided import source_of
 from roughmap.tiles import TileTable
 from roughmap.trajectory import Trajectory
 from roughmap.workspace import Planes, ThreadScratch, Workspace, blocks_of
-
-_NO_TIMES = np.zeros(0, np.int64)
 
 
 class RoughMap:
@@ -157,30 +156,16 @@ class RoughMap:
             late |= stamps >= STAMP_LIMIT_NS
         planes = self._space.planes(number)
         if late is not None:
-            planes.reason[late & np.isfinite(checked).all(axis=1)] = PointReason.TIME
-        s = self.settings
+            planes.reason[:number][late & np.isfinite(checked).all(axis=1)] = PointReason.TIME
+        source, rules = source_of(checked), self.settings.rules
 
-        def bound(start: int, stop: int, scratch: ThreadScratch) -> None:
-            p = planes
-            split(checked, start, stop, p.x, p.y, p.z)
-            blocks.point_blocks(
-                start,
-                stop,
-                s.model,
-                p.x,
-                p.y,
-                p.z,
-                p.reason,
-                p.cells,
-                p.body,
-                scratch.S,
-                matrices,
-                s.cell_size,
-                s.area,
-                s.error,
+        def bound(start: int, stop: int, odd: int, scratch: ThreadScratch) -> tuple[int, int, int]:
+            t = scratch.tiles
+            return blocks.point_blocks(
+                start, stop, odd, planes, scratch.block, source, matrices, rules, t.arrays, t.number
             )
 
-        return self._add(planes, stamps, bound, max_new_tiles, max_tiles)
+        return self._add(number, planes, stamps, bound, max_new_tiles, max_tiles)
 
     def add_scan(
         self,
@@ -199,64 +184,46 @@ class RoughMap:
         """
         limits = limits or Limits()
         number = len(scan.points)
-        offsets = _NO_TIMES if scan.offsets_ns is None else scan.offsets_ns
+        offsets = scan.times
         stamps = scan.stamp_ns + (np.zeros(1, np.int64) if scan.offsets_ns is None else offsets)
         way, gap, rules = trajectory.arrays, limits.max_gap_ns, point_rules(scan, noise, limits)
         posed, pose = pose_at(way, gap, scan.stamp_ns)
         planes = self._space.planes(number)
-        s = self.settings
+        source, own = source_of(scan.points), self.settings.rules
 
-        def place(start: int, stop: int, scratch: ThreadScratch) -> None:
-            p = planes
-            split(scan.points, start, stop, p.x, p.y, p.z)
-            blocks.scan_blocks(
-                start,
-                stop,
-                s.model,
-                p.x,
-                p.y,
-                p.z,
-                p.reason,
-                p.cells,
-                p.body,
-                scratch.levers,
-                scratch.S,
-                scratch.bracket,
-                scan.offsets_ns is not None,
-                offsets,
-                scan.stamp_ns,
-                way,
-                gap,
-                posed,
-                pose,
-                rules,
-                s.cell_size,
-                s.area,
-                s.error,
-            )
+        def place(start: int, stop: int, odd: int, scratch: ThreadScratch) -> tuple[int, int, int]:
+            t = scratch.tiles
+            return blocks.scan_blocks(
+                start, stop, odd, planes, scratch.block, source, offsets, scan.offsets_ns is not None, scan.stamp_ns,
+                way, gap, posed, pose, rules, own, t.arrays, t.number,
+            )  # fmt: skip
 
-        return self._add(planes, stamps, place, max_new_tiles, max_tiles)
+        return self._add(number, planes, stamps, place, max_new_tiles, max_tiles)
 
     def _add(
         self,
+        number: int,
         planes: Planes,
         stamps: I8,
-        geometry: Callable[[int, int, ThreadScratch], None],
+        geometry: Callable[[int, int, int, ThreadScratch], tuple[int, int, int]],
         max_new_tiles: int | None,
         max_tiles: int | None,
     ) -> AddReport:
         """Phase one, ``geometry`` over ranges of points; phase two, the tiles."""
-        number = len(planes.x)
         parts = self._space.parts(number)
-        edges = [min(blocks_of(number) * n // parts * BLOCK, number) for n in range(parts + 1)]
-        self._space.run(parts, lambda n, scratch: geometry(edges[n], edges[n + 1], scratch))
-        counts = np.bincount(planes.reason, minlength=len(REASON_NAMES)).tolist()
-        accepted = counts[PointReason.KEPT]
-        rejected = {name: n for name, n in zip(REASON_NAMES[1:], counts[1:], strict=True) if n}
+        edges = np.array([min(blocks_of(number) * n // parts * BLOCK, number) for n in range(parts + 1)])
+
+        def find(part: int, scratch: ThreadScratch) -> None:
+            find_tiles(int(edges[part]), int(edges[part + 1]), planes, self.settings.rules, scratch, geometry)
+
+        self._space.run(parts, find)
+        counts = np.sum([scratch.tiles.rejected for scratch in self._space.scratch[:parts]], axis=0)
+        accepted = number - int(counts.sum())
+        rejected = {name: n for name, n in zip(REASON_NAMES, counts.tolist(), strict=True) if n}
         if not accepted:
             return AddReport(0, rejected)
         tiles, newest_ns = integrate(
-            planes, stamps, self.sequence + 1, self._table, self.settings, self._space, max_new_tiles, max_tiles
+            planes, edges, stamps, self.sequence + 1, self._table, self.settings, self._space, max_new_tiles, max_tiles
         )
         self.sequence += 1
         self.newest_updated = max(self.newest_updated, newest_ns // 1_000_000_000)

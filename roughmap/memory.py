@@ -31,7 +31,7 @@ def _as_pointer(typingctx: Any, address: Any, like: Any) -> Any:  # noqa: ARG001
     return signature, codegen
 
 
-_pointer: Any = intrinsic(_as_pointer)
+pointer: Any = intrinsic(_as_pointer)
 
 
 def _fetch(typingctx: Any, address: Any) -> Any:  # noqa: ARG001 - numba's calling form
@@ -55,13 +55,13 @@ prefetch: Any = intrinsic(_fetch)
 @inline
 def floats(address: Scalar) -> F8:
     """The slot at ``address`` as 8 * 4096 float64 words; words that are multiples of 8 hold no float."""
-    return carray(_pointer(address, np.float64(0.0)), (SLOT_CELLS * CELL_WORDS,))
+    return carray(pointer(address, np.float64(0.0)), (SLOT_CELLS * CELL_WORDS,))
 
 
 @inline
 def words(address: Scalar) -> U8:
     """The slot at ``address`` as 8 * 4096 uint64 words."""
-    return carray(_pointer(address, np.uint64(0)), (SLOT_CELLS * CELL_WORDS,))
+    return carray(pointer(address, np.uint64(0)), (SLOT_CELLS * CELL_WORDS,))
 
 
 @kernel

@@ -50,14 +50,12 @@ def _small_arctan(t: Scalar) -> Scalar:
 def angle(c: Scalar, s: Scalar) -> Scalar:
     """atan2(s, c) for s >= 0, in [0, pi]; c and s are not both zero. As computed within 3e-16 relative."""
     x = abs(c)
-    low = min(x, s)
-    high = max(x, s)
-    if low > _TAN_EIGHTH_TURN * high:
-        a = 0.25 * math.pi + _small_arctan((low - high) / (low + high))
-    else:
-        a = _small_arctan(low / high)
-    if s > x:
-        a = 0.5 * math.pi - a
-    if c < 0.0:
-        a = math.pi - a
-    return a
+    low = s if s < x else x
+    high = x if s < x else s
+    # One quotient and one polynomial for both cases: a choice of numbers, no branch, so that loops are vectorised.
+    beyond = low > _TAN_EIGHTH_TURN * high
+    top = low - high if beyond else low
+    bottom = low + high if beyond else high
+    a = (0.25 * math.pi if beyond else 0.0) + _small_arctan(top / bottom)
+    a = 0.5 * math.pi - a if s > x else a
+    return math.pi - a if c < 0.0 else a

@@ -76,6 +76,11 @@ class Scan:
         put(self, "rotation", rotation)
         put(self, "mounting", (*matrix_of(rotation), *translation.tolist()))
 
+    @property
+    def times(self) -> I8:
+        """``offsets_ns`` as kernels take them: no numbers where there are none."""
+        return np.zeros(0, np.int64) if self.offsets_ns is None else self.offsets_ns
+
 
 @dataclass(frozen=True)
 class Noise:

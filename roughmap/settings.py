@@ -19,6 +19,10 @@ MAX_LEVELS = 26
 """At level 25 the 2^26 tiles along an axis have become two."""
 
 
+Rules = tuple[int, float, tuple[float, ...], tuple[int, ...], tuple[float, ...], float]
+"""What the kernels take of the settings: model, cell_size, area, window, error, min_share."""
+
+
 @dataclass(frozen=True)
 class Settings:
     """The settings of a map that decide its cells; ValueError, naming the setting, for values that cannot be."""
@@ -81,6 +85,11 @@ class Settings:
     def error(self) -> tuple[float, float, float]:
         """coverage, min_radius, max_horizontal_radius."""
         return self.coverage, self.min_radius, self.max_horizontal_radius
+
+    @property
+    def rules(self) -> Rules:
+        """What the kernels take."""
+        return self.model, self.cell_size, self.area, self.window, self.error, self.min_share
 
     @property
     def side(self) -> int:

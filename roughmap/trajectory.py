@@ -16,6 +16,9 @@ QUATERNION_LEAST_NORM = 1e-6
 _STAMP_LIMIT = 1 << 62
 """Differences of stamps within this fit int64."""
 
+_FIRST, _LAST = -(1 << 63), (1 << 63) - 1
+"""Before and after all stamps."""
+
 UPPER = [(row, column) for row in range(6) for column in range(row, 6)]
 """The 21 entries of a pose covariance that are read: its upper triangle, row by row."""
 
@@ -63,28 +66,23 @@ def _half_angles(rotation: F8, theta: F8, flip: F8, inverse_sinc: F8) -> None:
 
 
 @inline
-def find_bracket(stamps: I8, t: Scalar, hint: Scalar, max_gap_ns: Scalar) -> Scalar:
-    """Index of the pose at or before ``t`` of the bracket that holds ``t``, or -1.
-
-    ``hint``: where the last search ended, or -1. An exact stamp needs no second pose; otherwise the next pose must
-    be there, and not farther away than ``max_gap_ns``.
+def find_bracket(stamps: I8, t: Scalar, max_gap_ns: Scalar) -> Scalar:
+    """The last pose at or before ``t``, or -1; the times from which and until which that holds; whether times between
+    them have a pose: only if there is a next one, not farther away than ``max_gap_ns``.
     """
     size = len(stamps)
-    low = hint
-    if low < 0 or stamps[low] > t or (low + 1 < size and stamps[low + 1] <= t):
-        low = -1
-        high = size
-        while high - low > 1:
-            middle = (low + high) // 2
-            if stamps[middle] <= t:
-                low = middle
-            else:
-                high = middle
-    if low < 0 or stamps[low] == t:
-        return low
-    if low + 1 >= size or float(stamps[low + 1] - stamps[low]) > max_gap_ns:
-        return -1
-    return low
+    low = -1
+    high = size
+    while high - low > 1:
+        middle = (low + high) // 2
+        if stamps[middle] <= t:
+            low = middle
+        else:
+            high = middle
+    before = stamps[low] if low >= 0 else np.int64(_FIRST)
+    after = stamps[high] if high < size else np.int64(_LAST)
+    linked = low >= 0 and high < size and float(after - before) <= max_gap_ns
+    return np.int64(low), before, after, linked
 
 
 @inline
@@ -99,7 +97,7 @@ def pose_pair(way: Scalar, low: Scalar, exact: Scalar) -> Scalar:
     turn = (0.0, 1.0, 1.0) if exact else (theta[low], flip[low], inverse_sinc[low])
     p, q, c = position, rotation, covariance
     return (
-        (stamps[low], stamps[high], float(stamps[high] - stamps[low]), exact),
+        (float(stamps[high] - stamps[low]), exact),
         turn,
         ((q[low, 0], q[low, 1], q[low, 2], q[low, 3]), (q[high, 0], q[high, 1], q[high, 2], q[high, 3])),
         ((p[low, 0], p[low, 1], p[low, 2]), (p[high, 0] - p[low, 0], p[high, 1] - p[low, 1], p[high, 2] - p[low, 2])),
@@ -108,14 +106,15 @@ def pose_pair(way: Scalar, low: Scalar, exact: Scalar) -> Scalar:
 
 
 @inline
-def quaternion_at(pair: Scalar, t: Scalar) -> Scalar:
-    """The rotation at ``t``, a unit quaternion, and how far ``t`` is on the way to the second pose, 0 to 1.
+def quaternion_at(pair: Scalar, since: Scalar, until: Scalar) -> Scalar:
+    """The rotation ``since`` ns after the first pose and ``until`` before the second, a unit quaternion, and how far
+    that is on the way, 0 to 1.
 
     Slerp: q = (1 - u) sinc((1 - u) th) / sinc(th) q0 + u sinc(u th) / sinc(th) q1, then normalised.
     """
-    (before, after, span, exact), (theta, flip, inverse_sinc), (q0, q1), _, _ = pair
-    u = 0.0 if exact else float(t - before) / span
-    rest = float(after - t) / span
+    (span, exact), (theta, flip, inverse_sinc), (q0, q1), _, _ = pair
+    u = 0.0 if exact else since / span
+    rest = until / span
     a0 = rest * theta
     a1 = u * theta
     w0 = 1.0 if exact else rest * sinc_of_square(a0 * a0) * inverse_sinc
@@ -167,8 +166,11 @@ def covariance_at(pair: Scalar, u: Scalar) -> Scalar:
 @inline
 def interpolate(way: Scalar, low: Scalar, t: Scalar) -> Scalar:
     """The pose at ``t`` in the bracket that begins at ``low``: 33 numbers, R (9), t (3), covariance (21, `UPPER`)."""
-    pair = pose_pair(way, low, way[0][low] == t)
-    q, u = quaternion_at(pair, t)
+    stamps = way[0]
+    exact = stamps[low] == t
+    pair = pose_pair(way, low, exact)
+    until = 0.0 if exact else float(stamps[low + 1] - t)
+    q, u = quaternion_at(pair, float(t - stamps[low]), until)
     return (*rotation_matrix(*q), *position_at(pair, u), *covariance_at(pair, u))
 
 

@@ -6,7 +6,6 @@ from roughmap.arrays import F8, I8, U8, Scalar
 from roughmap.footprint import POINT
 from roughmap.jit import inline
 from roughmap.memory import floats, words
-from roughmap.place import BLOCK
 
 QUEUE = 512
 """Updates that wait before they are done: their cells, asked for meanwhile, fit the first-level cache."""
@@ -56,12 +55,12 @@ def update_cell(head_of: U8, values: F8, h: Scalar, w: Scalar, q: Scalar, second
 
 
 @inline
-def drain(queue: Scalar, count: Scalar, z: F8, body: F8, stamps: I8, model: Scalar, min_distance: Scalar) -> None:
+def drain(queue: Scalar, count: Scalar, z: F8, q: F8, stamps: I8, model: Scalar, min_distance: Scalar) -> None:
     """Do the first ``count`` updates of a queue, in order."""
     cell, weight, point = queue
-    each = np.int64(1) if len(stamps) > 1 else np.int64(0)
+    each = np.uint64(1) if len(stamps) > 1 else np.uint64(0)
     for c in range(count):
         n = np.uint64(point[c])
-        q = body[n // np.uint64(BLOCK), 2, n % np.uint64(BLOCK)] if model != POINT else 1.0
-        second = np.uint64(stamps[n * np.uint64(each)]) // np.uint64(1000000000)
-        update_cell(words(cell[c]), floats(cell[c]), z[n], weight[c], q, second, min_distance)
+        density = q[n] if model != POINT else 1.0
+        second = np.uint64(stamps[n * each]) // np.uint64(1000000000)
+        update_cell(words(cell[c]), floats(cell[c]), z[n], weight[c], density, second, min_distance)

@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roughmap.arrays import F8, I8, U8
+from roughmap.arrays import F8, I4, I8, U1, U2, U8
+from roughmap.cell import PointReason
 from roughmap.index import rehash
-from roughmap.place import BLOCK, LEVERS
+from roughmap.place import BLOCK, PLANES, STRIDE
 from roughmap.update import QUEUE
 
 _KEPT_POINTS = 1 << 18
-"""Planes for more points than this (some 25 MB) are given back after the call that needed them."""
+"""Planes for more points than this (some 35 MB) are given back after the call that needed them."""
 
 _POINTS_A_THREAD = 2048
 """Fewer are not worth a thread."""
@@ -24,27 +25,57 @@ def blocks_of(number: int) -> int:
     return -(-number // BLOCK)
 
 
-class Planes:
-    """One array a quantity, for the points of a scan; ``cells`` and ``body`` block by block.
+class Planes(NamedTuple):
+    """What is kept of a scan's points from their geometry to the update of the cells: an array a quantity.
 
-    A plane of a block is contiguous, however many points there are: without that its loops aren't vectorised.
+    ``z``: height, map frame. ``q``: weight over share. ``weight`` (blocks, 4, BLOCK): weights in the cells (i, j),
+    (i+1, j), (i, j+1), (i+1, j+1) of a plain point, 0 where it takes no part. ``home``: row of the tile in which a
+    plain point lies, -1 for a rejected point, -2 - k for the odd point of row k. ``corner``: cell (i, j) in that tile.
+
+    A point is plain if its footprint is at most 2 x 2 cells of one tile; else it is odd, with a row (of its part's
+    range, from the front) in ``odd_box`` (cells i0, j0, i1, j1, both ends in it), ``odd_body`` (x, y, and four numbers
+    of its error body) and ``odd_home`` (row of its tile, or -1 if there are several).
     """
 
-    def __init__(self, number: int) -> None:
-        self.x = np.empty(number)
-        self.y = np.empty(number)
-        self.z = np.empty(number)
-        self.reason = np.zeros(number, np.uint8)
-        self.cells = np.empty((blocks_of(number), 4, BLOCK), np.int32)
-        self.body = np.empty((blocks_of(number), 5, BLOCK))
-        self.home = np.empty(number, np.int32)
+    z: F8
+    reason: U1
+    home: I4
+    corner: U2
+    q: F8
+    weight: F8
+    odd_box: I4
+    odd_body: F8
+    odd_home: I4
 
-    def first(self, number: int) -> "Planes":
-        """Views for ``number`` points, each without gaps: kernels are compiled for that layout alone."""
-        part = Planes.__new__(Planes)
-        for name, array in vars(self).items():
-            setattr(part, name, array[: number if array.ndim == 1 else blocks_of(number)])
-        return part
+
+def _planes(blocks: int) -> Planes:
+    """Planes for so many blocks. Pages of the rows for odd points are not touched before there are such points."""
+    number = blocks * BLOCK
+    return Planes(
+        np.empty(number),
+        np.zeros(number, np.uint8),
+        np.empty(number, np.int32),
+        np.empty(number, np.uint16),
+        np.empty(number),
+        np.empty((blocks, 4, BLOCK)),
+        np.empty((number, 4), np.int32),
+        np.empty((number, 6)),
+        np.empty(number, np.int32),
+    )
+
+
+class Block(NamedTuple):
+    """What is known of a block's points only while it is worked on.
+
+    ``planes`` (PLANES, STRIDE), ``bracket``: see `place`. ``cells`` (4, BLOCK): the footprint's i0, j0, i1,
+    j1. ``body`` (4, BLOCK): half extents along x and y; of an ellipse also rho and beta. ``plain``: 1 for plain points.
+    """
+
+    planes: F8
+    bracket: I8
+    cells: I4
+    body: F8
+    plain: U1
 
 
 class Queue(NamedTuple):
@@ -55,37 +86,54 @@ class Queue(NamedTuple):
     point: I8
 
 
-class ThreadScratch:
-    """What one thread needs for itself: a block's covariances, a footprint's shares."""
+class Touched:
+    """What a part of a scan touches: the tiles, by key, in a small hash that doubles when it is half full.
 
-    def __init__(self, side: int) -> None:
-        self.levers = np.empty((LEVERS, BLOCK))
-        self.S = np.empty((6, BLOCK))
-        self.bracket = np.empty(BLOCK, np.int64)
-        self.lines = np.zeros((5, side + 1))
-        self.shares = np.empty(side * side)
-        room = QUEUE + side * side
-        self.queue = Queue(np.empty(room, np.uint64), np.empty(room), np.empty(room, np.int64))
-
-
-class TouchedTiles:
-    """The tiles of one scan, by key: a small hash that doubles when it is half full."""
+    ``work``: points in each tile. ``number``: tiles. ``rejected``: points, by `PointReason`.
+    """
 
     def __init__(self) -> None:
         self.table = np.full(1024, -1, np.int32)
         self.keys = np.zeros(512, np.uint64)
         self.work = np.zeros(512, np.int64)
+        self.number = 0
+        self.rejected = np.zeros(len(PointReason), np.int64)
+
+    @property
+    def arrays(self) -> tuple[I4, U8, I8, I8]:
+        """What the kernels take: table, keys, work, rejected."""
+        return self.table, self.keys, self.work, self.rejected
 
     def clear(self) -> None:
-        """Forget all tiles."""
+        """Forget all."""
         self.table[:] = -1
+        self.number = 0
+        self.rejected[:] = 0
 
-    def double(self, used: int) -> None:
-        """Twice the room, the first ``used`` tiles kept."""
+    def double(self) -> None:
+        """Twice the room."""
         self.keys = np.append(self.keys, np.zeros_like(self.keys))
         self.work = np.append(self.work, np.zeros_like(self.work))
         self.table = np.empty(2 * len(self.table), np.int32)
-        rehash(self.table, self.keys, used)
+        rehash(self.table, self.keys, self.number)
+
+
+class ThreadScratch:
+    """What one thread needs for itself: a block, the tiles of its part, a footprint's shares, a queue."""
+
+    def __init__(self, side: int) -> None:
+        self.block = Block(
+            np.zeros((PLANES, STRIDE)),
+            np.zeros(BLOCK, np.int64),
+            np.zeros((4, BLOCK), np.int32),
+            np.zeros((4, BLOCK)),
+            np.zeros(BLOCK, np.uint8),
+        )
+        self.tiles = Touched()
+        self.lines = np.zeros((5, side + 1))
+        self.shares = np.empty(side * side)
+        room = QUEUE + side * side
+        self.queue = Queue(np.empty(room, np.uint64), np.empty(room), np.empty(room, np.int64))
 
 
 class Workspace:
@@ -94,8 +142,7 @@ class Workspace:
     def __init__(self, threads: int, side: int) -> None:
         self.threads = threads
         self.side = side
-        self.tiles = TouchedTiles()
-        self._planes = Planes(0)
+        self._planes = _planes(0)
         self._scratch = [ThreadScratch(side)]
         self._pool: ThreadPoolExecutor | None = None
 
@@ -105,13 +152,15 @@ class Workspace:
         return self._scratch
 
     def planes(self, number: int) -> Planes:
-        """Planes for ``number`` points; what they hold is left from before, but for ``reason``, which is 0."""
-        if number > len(self._planes.x):
-            planes = Planes(max(number, 4096))
-            if number > _KEPT_POINTS:
-                return planes.first(number)
-            self._planes = planes
-        part = self._planes.first(number)
+        """Planes for ``number`` points, in whole blocks; what they hold is left from before, but ``reason``, 0."""
+        blocks = blocks_of(number)
+        kept = self._planes
+        if blocks > len(kept.weight):
+            kept = _planes(max(blocks, 16))
+            if number <= _KEPT_POINTS:
+                self._planes = kept
+        # Views without gaps: kernels are compiled for that layout alone.
+        part = Planes._make(array[: blocks if array.ndim == 3 else blocks * BLOCK] for array in kept)
         part.reason[:] = 0
         return part
 
