@@ -1,17 +1,19 @@
 """A service that runs: its pages, its log lines, `health` and `top`, beside the status that it gives over Zenoh."""
 
 import json
+import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from net import wait_for
+from net import Gathered, wait_for
 from processes import LEVEL, PRECISE, READY_S, T0, Feed, Service, connected, read_log
 
-from roughmap_schemas import MapStatus, encode_odometry
+from roughmap_schemas import MapStatus, encode_cloud, encode_odometry
 from roughmap_service.cli.main import run
 
 TOKEN = "never to be seen anywhere"
@@ -118,6 +120,37 @@ def test_log_lines_tell_the_events_and_nothing_tells_the_token(live: Running) ->
     kept = b"".join(path.read_bytes() for path in live.service.log.glob("*.mcap"))
     assert TOKEN.encode() not in kept
     assert not any(TOKEN in line for line in [*live.service.out, *live.service.err])
+
+
+def test_an_overload_is_told_everywhere_and_so_is_its_end(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Clouds whose poses never come fill a small inbox."""
+    monkeypatch.chdir(tmp_path)
+    cloud = [encode_cloud(np.full((100, 3), k, np.float32), T0 + k, "lidar") for k in range(200)]
+    inputs = {"queue_limit": 20_000, "max_wait": 600.0}
+    with Service(tmp_path, http={"listen": "127.0.0.1:0"}, input=inputs) as service:
+        listen = service.ready()["http"].removeprefix("http://")
+        with connected(service) as feed:
+            while True:  # until more is dropped than may wait: at the latest when all are sent
+                feed.put("points", "rover1", cloud.pop())
+                if feed.settle().health == "overloaded":
+                    break
+            assert run(["health", "--set", f"http.listen={listen}"]) == 0, "it works, as well as it can"
+            assert capsys.readouterr().out.startswith("site: overloaded: more comes in than can be integrated")
+            with pytest.raises(urllib.error.HTTPError) as refused:
+                urllib.request.urlopen(f"http://{listen}/readyz", timeout=30)
+            refused.value.close()
+            assert refused.value.code == 503
+            statuses: Gathered[MapStatus] = Gathered()
+            feed.session.declare_subscriber(
+                "maps/site/status", lambda sample: statuses(MapStatus.model_validate_json(sample.payload.to_bytes()))
+            )
+            statuses.wait(lambda all_: all_[-1:] != [] and all_[-1].health == "ok", "the overload's end")
+        assert service.stop() == 0
+    told = [line for line in map(json.loads, service.err) if str(line.get("event")).startswith("overload")]
+    assert [line["event"] for line in told] == ["overload_begun", "overload_ended"]
+    assert told[1]["dropped"] >= 1
 
 
 def test_a_start_that_would_open_the_pages_to_the_network_is_refused(tmp_path: Path) -> None:

@@ -19,6 +19,9 @@ EARLIEST, LATEST = (datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (20
 BASE_BYTES = 300 << 20
 """What the service holds beside its tiles: code, kernels, Zenoh's pools."""
 
+LEAST_FREE = 100 << 20
+"""Bytes that a robot's scans fill within the minute."""
+
 CGROUP_LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 
 NOT_SYNCHRONISED = 5
@@ -47,6 +50,8 @@ def _directory(name: str, directory: Path, wanted: int) -> Finding:
         mend = f"give the user {os.getuid()} the right to write there, or set {name} to another place"
         return Finding("disk", "wrong", f"{name}: {there} can't be written: {error.strerror}", mend)
     told = f"{name}: {directory} can be written, {free / 1e9:.1f} GB free"
+    if free < LEAST_FREE:
+        return Finding("disk", "wrong", told, "make room: without it no cloud is integrated")
     if free < wanted:
         return Finding(
             "disk", "note", f"{told}, less than the {wanted / 1e9:.1f} GB that it may soon need", "make room"

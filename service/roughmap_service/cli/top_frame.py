@@ -52,6 +52,7 @@ class Robots:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._robots: dict[str, Robot] = {}
+        self._begun = time.monotonic()
 
     def take(self, payload: bytes) -> None:
         """One event, as published."""
@@ -73,12 +74,13 @@ class Robots:
 
     def rows(self) -> list[Row]:
         """The robots by name."""
-        since = time.monotonic() - WINDOW_S
+        now = time.monotonic()
+        since, window = now - WINDOW_S, max(min(now - self._begun, WINDOW_S), 0.1)
         with self._lock:
             rows = []
             for name, robot in sorted(self._robots.items()):
                 recent = [points for at, points in robot.recent if at >= since]
-                rates = len(recent) / WINDOW_S, sum(recent) / WINDOW_S
+                rates = len(recent) / window, sum(recent) / window
                 rows.append(Row(name, *rates, robot.integrated, dict(robot.rejected)))
             return rows
 
