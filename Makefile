@@ -6,7 +6,7 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check bench bench-peers schemas lock clean
+.PHONY: help setup demo test check audit bench bench-peers schemas lock clean
 
 help:  ## this list
 	@echo "make TARGET, where TARGET is:"
@@ -35,6 +35,10 @@ check: $(READY)  ## style, types, the direction of imports, the exported schemas
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m roughmap_schemas.export --check
+
+audit: $(READY)  ## unsafe habits (bandit), the lock's hashes, known faults of locked packages where their service is reached
+	$(BIN)/python -m pytest -q tests/security/test_audit.py
+	$(BIN)/python .ci/audit
 
 bench: $(READY)  ## what it costs, each figure with its mark and a reference beside it; pictures in bench/
 	$(BIN)/python tests/bench/run.py $(ARGS)

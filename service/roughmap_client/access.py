@@ -1,5 +1,6 @@
 """How a session proves who it is, put into a Zenoh configuration; and Zenoh's errors, without their secrets."""
 
+import contextlib
 import json
 import re
 from pathlib import Path
@@ -79,15 +80,11 @@ def _password(given: ZenohConfig) -> str:
     _check_readable("zenoh.password_file", path)
     with path.open("rb") as stream:
         content = stream.read(MAX_PASSWORD + 1)
-    try:
+    with contextlib.suppress(UnicodeDecodeError):
         password = content.decode().rstrip("\r\n")
-    except UnicodeDecodeError:
-        password = ""
-    if not password or len(content) > MAX_PASSWORD:
-        raise ConfigFault(
-            f"zenoh.password_file: {path}: expected a password as UTF-8 text, at most {MAX_PASSWORD} bytes"
-        )
-    return password
+        if password and len(content) <= MAX_PASSWORD:
+            return password
+    raise ConfigFault(f"zenoh.password_file: {path}: expected a password as UTF-8 text, at most {MAX_PASSWORD} bytes")
 
 
 def _check_readable(name: str, path: str | Path) -> None:

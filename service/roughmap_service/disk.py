@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import IO
 
 
 def make_directory(directory: Path) -> None:
@@ -19,3 +20,14 @@ def sync_directory(directory: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def open_lock(path: Path) -> IO[bytes]:
+    """Open a file to be locked, made if it isn't there; OSError where there is a link: its end is not ours."""
+    return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600), "ab")
+
+
+def made_anew(path: Path) -> IO[bytes]:
+    """Make a file in place of one that a kill may have left; never what a link leads to."""
+    path.unlink(missing_ok=True)
+    return path.open("xb")

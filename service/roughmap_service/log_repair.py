@@ -8,7 +8,7 @@ from pathlib import Path
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
-from .disk import sync_directory
+from .disk import made_anew, sync_directory
 from .log_file import CHUNK_BYTES, PROFILE
 from .log_reader import DamagedLog, LogError, is_closed, raw_records, read_metadata
 
@@ -27,7 +27,7 @@ def repair(path: Path, *, damaged: bool = False) -> Path | None:
         return None
     torn = path.with_name(path.name + ".torn")
     whole = path.with_name(path.name + ".part")
-    with whole.open("wb") as stream:
+    with made_anew(whole) as stream:
         writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True)
         writer.start(profile=PROFILE)
         end = _copy(path, writer)
@@ -40,7 +40,7 @@ def repair(path: Path, *, damaged: bool = False) -> Path | None:
         whole.unlink()
     else:
         if over:
-            with path.open("rb") as source, torn.open("wb") as rest:
+            with path.open("rb") as source, made_anew(torn) as rest:
                 source.seek(end)
                 shutil.copyfileobj(source, rest)
                 rest.flush()

@@ -2,6 +2,7 @@
 
 import fcntl
 import logging
+import stat
 import threading
 import time
 import uuid
@@ -29,7 +30,7 @@ from roughmap_schemas.messages import LogState
 
 from .answers import Answers
 from .counters import Counters
-from .disk import make_directory
+from .disk import make_directory, open_lock
 from .emptied import Emptied
 from .ending import Ending
 from .http_server import HttpServer
@@ -323,7 +324,12 @@ def _locked(directory: Path, store: Store | None) -> Iterator[None]:
         locks.append(store.path.with_name(store.path.name + ".lock"))
     with ExitStack() as stack:
         for path in locks:
-            handle = stack.enter_context(path.open("a"))
+            if path.parent.stat().st_mode & stat.S_IWOTH:
+                raise ServeError(
+                    f"{path.parent}: everybody on this machine may write there, and forge the map; give log.directory "
+                    "and store.path folders of their own, or chmod o-w"
+                )
+            handle = stack.enter_context(open_lock(path))
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:

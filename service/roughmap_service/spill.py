@@ -159,7 +159,7 @@ def _open_emptied(path: Path) -> int:
     """A descriptor of the file, made or emptied, held against other processes. SpillError if it can't be had."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
     except OSError as error:
         raise SpillError(f"{path}: {error.strerror}; map.spill_path names a file that can be written") from None
     try:

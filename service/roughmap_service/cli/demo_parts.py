@@ -47,7 +47,7 @@ class _Process:
     def __init__(self, arguments: list[str], errors: Path) -> None:
         self._errors = errors
         with errors.open("w") as stream:
-            self.process = subprocess.Popen(  # noqa: S603  # our own command line
+            self.process = subprocess.Popen(  # noqa: S603  # nosec B603  # our own command line
                 arguments, stdout=subprocess.PIPE, stderr=stream, text=True, env=environment()
             )
 
@@ -192,7 +192,7 @@ class Planner:
 def replay(log_directory: Path, errors: Path) -> tuple[int, str]:
     """`roughmap replay`: exit code and last line."""
     with errors.open("w") as stream, contextlib.suppress(subprocess.TimeoutExpired):
-        done = subprocess.run(  # noqa: S603  # our own command line
+        done = subprocess.run(  # noqa: S603  # nosec B603  # our own command line
             command("replay", str(log_directory)),
             stdout=subprocess.PIPE,
             stderr=stream,

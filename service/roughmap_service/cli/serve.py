@@ -34,6 +34,7 @@ def serve(
     """
     from roughmap_service.logs import note, set_up
 
+    os.umask(os.umask(0o027) | 0o027)  # log and store may be read by the group, and by nobody else
     loaded = load(config_path, settings)
     service = loaded.config.service
     set_up(service.log_format, "debug" if verbose else service.log_level, sys.stderr)
