@@ -5,7 +5,6 @@ import re
 import shutil
 import subprocess
 import threading
-import time
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -17,7 +16,7 @@ from typing import Any
 import pytest
 import yaml
 from net import WAIT_S
-from operate_pages import address, get, pages
+from operate_pages import address, get, pages, wait_until
 from served import Served
 
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, QueryCode, Refusal
@@ -134,11 +133,14 @@ def prometheus(program: str, directory: Path, target: str) -> Iterator[str]:
     ) as process:  # fmt: skip
         try:
             lines = iter(process.stderr or ())
-            (where,) = [next(m[1] for line in lines if (m := re.search(r'"Listening on" address=(\S+)', line)))]
-            threading.Thread(target=lambda: list(lines), daemon=True).start()  # so that it never waits for a reader
+            where = next(found[1] for line in lines if (found := re.search(r'"Listening on" address=(\S+)', line)))
+            reader = threading.Thread(target=lambda: list(lines))  # so that it never waits to be read
+            reader.start()
             yield where
-        finally:
             process.terminate()
+            reader.join(WAIT_S)
+        finally:
+            process.kill()
 
 
 def asked(where: str, path: str, **parameters: str) -> Any:
@@ -150,15 +152,6 @@ def asked(where: str, path: str, **parameters: str) -> Any:
         if error.code == 503:  # it listens, and is not ready yet
             return None
         raise AssertionError(f"{parameters}: {error.read().decode()}") from None
-
-
-def wait_until(condition: Any, what: str) -> Any:
-    """Prometheus tells nobody what it has done: it must be asked."""
-    end, pause = time.monotonic() + WAIT_S, threading.Event()
-    while not (found := condition()):
-        assert time.monotonic() < end, f"waited {WAIT_S:g} s in vain for {what}"
-        pause.wait(0.1)
-    return found
 
 
 def test_a_real_prometheus_scrapes_and_runs_every_expression(tmp_path: Path) -> None:
