@@ -37,19 +37,22 @@ class Depths:
     queries_waiting: int = 0
     snapshot_sequence: int = 0
     snapshot_ok: bool = True
+    memory_taken: int = 0
 
 
 class Disk:
-    """Bytes of the log's files and the store's, and room beside them."""
+    """Bytes of the log's files, the store's and the spill file, and room beside them."""
 
-    def __init__(self, log: Path, store: Path | None) -> None:
+    def __init__(self, log: Path, store: Path | None, spill: Path | None = None) -> None:
         self._log = log
         self._store = store
+        self._spill = spill
         self._looked = float("-inf")
         self._sizes: dict[str, tuple[int, int]] = {}
 
     def sizes(self) -> dict[str, tuple[int, int]]:
-        """Of "log" and, if there is one, "store": (bytes held, bytes free on its disk), as of the last seconds."""
+        """Of "log" and, where there are any, "store" and "spill": (bytes held, bytes free on its disk), as of the last
+        seconds."""
         now = time.monotonic()
         if now - self._looked >= DISK_SECONDS:
             self._looked = now
@@ -57,6 +60,9 @@ class Disk:
             if self._store is not None:
                 parts = self._store.parent.glob(f"{self._store.name}*")
                 self._sizes["store"] = (_total(parts), _free(self._store.parent))
+            if self._spill is not None:
+                blocks = self._spill.stat().st_blocks * 512 if self._spill.exists() else 0  # its length has holes
+                self._sizes["spill"] = (blocks, _free(self._spill.parent))
         return self._sizes
 
 
@@ -129,11 +135,16 @@ class Metrics(Collector):
             "queue_bytes", "What waits: messages to be numbered, clouds for poses, records for the disk.", "queue",
             {"intake": depths.intake_bytes, "inbox": depths.inbox_bytes, "log": depths.log_bytes},
         )  # fmt: skip
+        yield _gauge(
+            "memory_counted_bytes", "What of the memory counts against map.memory_limit.", value=depths.memory_taken
+        )
         yield _gauge("queries_waiting", "Queries that wait for a worker.", value=depths.queries_waiting)
         yield _gauge("snapshot_sequence", "The map's sequence in the store.", value=depths.snapshot_sequence)
         yield _gauge("snapshot_ok", "1 unless the last snapshot failed.", value=depths.snapshot_ok)
         sizes = self._disk.sizes()
-        yield _gauge("disk_bytes", "Bytes of all log files and of the store.", "what", _part(sizes, 0))
+        yield _gauge(
+            "disk_bytes", "Bytes that the log files, the store and the spill file take.", "what", _part(sizes, 0)
+        )
         yield _gauge("disk_free_bytes", "Room on the disk that holds them.", "what", _part(sizes, 1))
 
     def _inputs(self, status: MapStatus) -> Iterator[Metric]:

@@ -21,6 +21,7 @@ class Problem(StrEnum):
     SEQUENCER_DEAD = "sequencer_dead"
     SEQUENCER_STALLED = "sequencer_stalled"
     LOG_NOT_WRITABLE = "log_not_writable"
+    MEMORY_FULL = "memory_full"
     OVERLOADED = "overloaded"
 
 
@@ -48,7 +49,14 @@ class Readiness:
 
 
 def running_problems(
-    *, alive: bool, turned: float, failure: BaseException | None, log_ok: bool, log_error: str, overloaded: bool
+    *,
+    alive: bool,
+    turned: float,
+    failure: BaseException | None,
+    log_ok: bool,
+    log_error: str,
+    memory_ok: bool,
+    overloaded: bool,
 ) -> dict[Problem, str]:
     """The problems of a service that runs; ``turned`` is when the sequencer last began a turn, in monotonic s."""
     found: dict[Problem, str] = {}
@@ -59,6 +67,8 @@ def running_problems(
         found[Problem.SEQUENCER_STALLED] = f"the sequencer has taken nothing up for {idle:.0f} s"
     if not log_ok:
         found[Problem.LOG_NOT_WRITABLE] = f"the log can't be written: {log_error}"
+    if not memory_ok:
+        found[Problem.MEMORY_FULL] = "tiles can't leave memory; beyond map.memory_limit no new ones are taken"
     if overloaded:
         found[Problem.OVERLOADED] = "more comes in than can be integrated; the oldest clouds are dropped and counted"
     return found

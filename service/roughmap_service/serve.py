@@ -40,7 +40,7 @@ from .log_file import Kind, LogRecord
 from .log_writer import LogWriter
 from .logs import note
 from .memory import Memory
-from .readiness import Readiness, Sources, running_problems
+from .readiness import Readiness, Sources
 from .recovery import Progress as RecoveryProgress
 from .recovery import Recovered, Stopped, begin_anew, put_away, recover
 from .sequencer import Intervals, Sequencer
@@ -53,6 +53,7 @@ from .transport import check_exposure, claim, endpoints, open_session, zenoh_con
 from .updates import Updates
 from .view import View
 from .warmup import warm_up
+from .watched import Parts, show
 
 log = logging.getLogger(__name__)
 
@@ -205,40 +206,9 @@ def _run(
         stack.enter_context(StatusPublisher(session, keys, status))
         stack.callback(intake.close)  # after the subscribers are gone; refuses what still comes
         stack.enter_context(ZenohInputs(session, keys, intake, replies, config.input.max_message, counters))
-
-        if sources.url is not None:
-            from .metrics import Depths, Disk, Metrics  # noqa: PLC0415 - needed with the pages only
-
-            def depths() -> Depths:
-                return Depths(
-                    intake_bytes=intake.held, inbox_bytes=sequencer.inbox.size, log_bytes=writer.held,
-                    queries_waiting=answers.waiting, snapshot_sequence=snapshots.sequence,
-                    snapshot_ok=not snapshots.error,
-                )  # fmt: skip
-
-            disk = Disk(directory, None if store is None else store.path)
-            sources.status = status
-            sources.metrics = Metrics(
-                status, counters, depths, sources.readiness.problems, disk, config.map.memory_limit
-            ).text
-        sources.readiness.become(
-            lambda: running_problems(
-                alive=sequencer.alive, turned=sequencer.turned, failure=sequencer.failure, log_ok=writer.ok,
-                log_error=writer.error, overloaded=counters.overloaded,
-            )
-        )  # fmt: skip
-
-        def shut_down() -> None:
-            sources.readiness.end()
-            counts = counters.snapshot()
-            clouds, points = counts.clouds_accepted, counts.points_accepted
-            text = f"shutting down; {clouds} clouds with {points} points were integrated since the start"
-            note(
-                log, logging.INFO, "shutdown", text, clouds=clouds, points=points, poses=counts.poses_accepted,
-                clouds_rejected=counts.clouds_rejected, refused=counts.refused, sequence=view.map.sequence,
-            )  # fmt: skip
-
-        stack.callback(shut_down)
+        parts = Parts(sequencer, writer, intake, answers, snapshots, memory, counters)
+        show(parts, sources, status, config)
+        stack.callback(parts.end, sources)
         announce(
             {
                 "ready": True, "map": config.map.name, "instance": instance, "endpoints": endpoints(session),

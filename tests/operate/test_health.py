@@ -71,6 +71,7 @@ def test_what_a_running_service_can_suffer_from() -> None:
         "failure": None,
         "log_ok": True,
         "log_error": "",
+        "memory_ok": True,
         "overloaded": False,
     }
 
@@ -81,4 +82,5 @@ def test_what_a_running_service_can_suffer_from() -> None:
     assert list(found(alive=False, failure=ValueError("a cause"))) == [Problem.SEQUENCER_DEAD]
     assert "a cause" in found(alive=False, failure=ValueError("a cause"))[Problem.SEQUENCER_DEAD]
     assert list(found(turned=float("-inf"))) == [Problem.SEQUENCER_STALLED]
-    assert list(found(log_ok=False, overloaded=True)) == [Problem.LOG_NOT_WRITABLE, Problem.OVERLOADED]
+    all_three = [Problem.LOG_NOT_WRITABLE, Problem.MEMORY_FULL, Problem.OVERLOADED]
+    assert list(found(log_ok=False, memory_ok=False, overloaded=True)) == all_three

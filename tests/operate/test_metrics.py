@@ -36,7 +36,7 @@ def scrape(served: Served, directory: Path, depths: Depths | None = None) -> Sam
     assert served.status is not None
     metrics = Metrics(
         served.status, served.counters, lambda: depths or Depths(), lambda: {Problem.OVERLOADED: ""},
-        Disk(directory, directory / "map.db"), 2**31,
+        Disk(directory, directory / "map.db", directory / "tiles.spill"), 2**31,
     )  # fmt: skip
     return samples(metrics.text())
 
@@ -60,7 +60,7 @@ def test_metrics_say_what_the_status_says(tmp_path: Path) -> None:
         served.add(some_points())
         assert served.status is not None
         status = served.status()
-        found = scrape(served, tmp_path, Depths(1, 2, 3, 4, 5, snapshot_ok=False))
+        found = scrape(served, tmp_path, Depths(1, 2, 3, 4, 5, snapshot_ok=False, memory_taken=6))
     assert of(found, "clouds_accepted_total") == status.clouds.accepted == 1
     assert of(found, "points_accepted_total") == status.points.accepted == 100
     assert of(found, "poses_accepted_total") == status.poses.accepted == 1
@@ -82,7 +82,9 @@ def test_metrics_say_what_the_status_says(tmp_path: Path) -> None:
     assert [of(found, "queue_bytes", queue=name) for name in ("intake", "inbox", "log")] == [1, 2, 3]
     assert (of(found, "queries_waiting"), of(found, "snapshot_sequence"), of(found, "snapshot_ok")) == (4, 5, 0)
     assert (of(found, "disk_bytes", what="log"), of(found, "disk_bytes", what="store")) == (1100, 10)
+    assert of(found, "disk_bytes", what="spill") == 0, "it is not there"
     assert of(found, "disk_free_bytes", what="log") > 0
+    assert of(found, "memory_counted_bytes") == 6
     assert of(found, "build_info", version="9.8.7", python=platform.python_version()) == 1
     assert found["process_open_fds", ()] > 0
 

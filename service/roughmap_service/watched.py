@@ -1,0 +1,73 @@
+"""What the running service shows of itself: whether it is ready, its metrics, and what it did, when it ends."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from roughmap_schemas import Config
+from roughmap_schemas.messages import MapStatus
+
+from .answers import Answers
+from .counters import Counters
+from .intake import Intake
+from .log_writer import LogWriter
+from .logs import note
+from .memory import Memory
+from .readiness import Problem, Sources, running_problems
+from .sequencer import Sequencer
+from .snapshots import Snapshots
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The parts of a running service that are looked at."""
+
+    sequencer: Sequencer
+    writer: LogWriter
+    intake: Intake
+    answers: Answers
+    snapshots: Snapshots
+    memory: Memory
+    counters: Counters
+
+    def problems(self) -> dict[Problem, str]:
+        """What stands in the way of taking in and answering."""
+        return running_problems(
+            alive=self.sequencer.alive, turned=self.sequencer.turned, failure=self.sequencer.failure,
+            log_ok=self.writer.ok, log_error=self.writer.error, memory_ok=self.memory.ok,
+            overloaded=self.counters.overloaded,
+        )  # fmt: skip
+
+    def end(self, sources: Sources) -> None:
+        """Say that it shuts down, and what it did since its start."""
+        sources.readiness.end()
+        counts, sequence = self.counters.snapshot(), self.sequencer.state.map.sequence
+        clouds, points = counts.clouds_accepted, counts.points_accepted
+        text = f"shutting down; {clouds} clouds with {points} points were integrated since the start"
+        note(
+            log, logging.INFO, "shutdown", text, clouds=clouds, points=points, poses=counts.poses_accepted,
+            clouds_rejected=counts.clouds_rejected, refused=counts.refused, sequence=sequence,
+        )  # fmt: skip
+
+
+def show(parts: Parts, sources: Sources, status: Callable[[], MapStatus], config: Config) -> None:
+    """From now on the pages show these parts."""
+    sources.readiness.become(parts.problems)
+    if sources.url is None:
+        return
+    from .metrics import Depths, Disk, Metrics  # noqa: PLC0415 - with the pages only
+
+    def depths() -> Depths:
+        return Depths(
+            intake_bytes=parts.intake.held, inbox_bytes=parts.sequencer.inbox.size, log_bytes=parts.writer.held,
+            queries_waiting=parts.answers.waiting, snapshot_sequence=parts.snapshots.sequence,
+            snapshot_ok=not parts.snapshots.error, memory_taken=parts.memory.taken,
+        )  # fmt: skip
+
+    store = None if config.store.path is None else Path(config.store.path)
+    disk = Disk(Path(config.log.directory), store, parts.memory.spill.path)
+    metrics = Metrics(status, parts.counters, depths, sources.readiness.problems, disk, config.map.memory_limit)
+    sources.status, sources.metrics = status, metrics.text
