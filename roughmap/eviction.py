@@ -54,8 +54,8 @@ class Eviction:
     def close(self) -> None:
         """Under the lock: those tiles leave memory that were written and have not changed meanwhile."""
         table = self._table
-        still = table.slot[self._entries] == self._slots
-        gone = (self._rows > 0) & still & table.pool.live[self._slots]
+        # A tile that was written meanwhile, being pinned, has another slot now: the map has left this one.
+        gone = (self._rows > 0) & table.pool.live[self._slots]
         entries = self._entries[gone]
         table.digest[entries], table.digest_known[entries] = self._digests[gone], True
         table.slot[entries] = ~self._places[gone]

@@ -189,6 +189,33 @@ def test_the_longest_unused_leave_first(spill: Spill) -> None:
     assert left == [3, 4]
 
 
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_a_tile_that_changes_on_its_way_out_stays(spill: Spill, when: str) -> None:
+    plain, spilling = filled(), filled(spill)
+    for m in (plain, spilling):
+        m.add(FAR, S, 10**9)
+    eviction = spilling.spill(10**6)
+    if when == "after":
+        eviction.write()
+    changed = [m.add(ground(70, 100, 5.0), S, 10**9).tiles for m in (plain, spilling)]
+    if when == "before":
+        eviction.write()
+    eviction.close()
+    assert spilling.resident_tiles == len(changed[0]) + 1
+    assert tiles_of(spilling) == tiles_of(plain)
+    assert spill.used == spilling.tile_count - spilling.resident_tiles
+
+
+def test_a_reset_while_tiles_are_on_their_way_out(spill: Spill) -> None:
+    m = filled(spill)
+    m.add(FAR, S, 10**9)
+    eviction = m.spill(10**6)
+    m.reset()
+    eviction.write()
+    eviction.close()
+    assert (spill.used, m.tile_count, m.digest()) == (0, 0, RoughMap().digest())
+
+
 def test_an_emptied_map_gives_its_places_back(spill: Spill) -> None:
     m = filled(spill)
     leave_all(m)
