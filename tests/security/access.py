@@ -69,15 +69,14 @@ def put_settings(config: zenoh.Config, **settings: Any) -> zenoh.Config:
 
 
 @contextmanager
-def open_router(certificates: Path, *, passwords: bool = False) -> Iterator[str]:
-    """The router of the example on a free port of loopback; its endpoint."""
-    config = put_settings(
-        zenoh.Config.from_json5(example("router.json5", certificates)), listen__endpoints=["tls/127.0.0.1:0"]
-    )
-    put_settings(config, adminspace__enabled=True, adminspace__permissions={"read": True, "write": False})
-    if passwords:
-        put_settings(config, **by_password(certificates))
-    with zenoh.open(config) as router:
+def open_router(certificates: Path, *, passwords: bool = False, config: zenoh.Config | None = None) -> Iterator[str]:
+    """The router of the example, or one of another configuration, on a free port of loopback; its endpoint."""
+    chosen = config or zenoh.Config.from_json5(example("router.json5", certificates))
+    put_settings(
+        chosen, listen__endpoints=["tls/127.0.0.1:0"], adminspace__enabled=True,
+        adminspace__permissions={"read": True, "write": False}, **(by_password(certificates) if passwords else {}),
+    )  # fmt: skip
+    with zenoh.open(chosen) as router:
         for reply in router.get(f"@/{router.zid()}/router", timeout=WAIT_S):
             if reply.ok is not None:
                 yield json.loads(reply.ok.payload.to_bytes())["locators"][0]
