@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 HERE = Path(__file__).parent
 WAIT_S = 60.0
@@ -27,7 +27,8 @@ def echoing() -> Iterator[list[str]]:
 
 
 class Asker:
-    """`asker.py` at work from now on; ``seconds`` long, of which the first ``skip`` are not counted."""
+    """`asker.py` at work from now on, ``seconds`` long, of which the first ``skip`` are not counted; a context manager
+    that ends it with the block."""
 
     def __init__(self, service: list[str], hz: float, seconds: float, skip: float, **more: Any) -> None:
         given = {"service": service, "hz": hz, "seconds": seconds, "skip": skip, **more}
@@ -35,6 +36,15 @@ class Asker:
         self._process = subprocess.Popen(
             [sys.executable, str(HERE / "asker.py"), json.dumps(given)], stdout=subprocess.PIPE, text=True
         )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.wait(WAIT_S)
+        assert self._process.stdout is not None
+        self._process.stdout.close()
 
     def latencies(self) -> Latencies:
         """Once it has ended, seconds by what was asked."""

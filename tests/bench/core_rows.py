@@ -12,6 +12,7 @@ from roughmap import RoughMap
 ROUNDS = 12
 UNIT = "ns a point"
 WHOLE, CORE, WIDE_CORE = "cuboid in C, whole", "cuboid in C, core", "cuboid in C, core, wide"
+KNOWN = "cuboid, known ground"
 
 
 def build(model: str, drive: Drive, threads: int = 1) -> str:
@@ -23,9 +24,14 @@ def build(model: str, drive: Drive, threads: int = 1) -> str:
 def filled(model: str, drive: Drive, threads: int = 1) -> RoughMap:
     """The map of all scans, everything else by default."""
     built = RoughMap(CELL_SIZE, model, threads=threads)
+    add_all(built, drive)
+    return built
+
+
+def add_all(built: RoughMap, drive: Drive) -> None:
+    """All scans into a map."""
     for scan in drive.scans:
         built.add_scan(scan, drive.way, NOISE)
-    return built
 
 
 def rows(bench: Bench) -> list[Row]:
@@ -45,16 +51,14 @@ def rows(bench: Bench) -> list[Row]:
         for model, names in (("cuboid", drives), ("point", ("still", "rows")), ("ellipsoid", ("still", "rows")))
         for name in names
     }
-    runs["two threads"] = partial(build, "cuboid", drives["still"], 2)
-    sizes = {name: points[name.split(", ")[-1]] for name in runs if ", " in name}
-    sizes["two threads"] = points["still"]
+    sizes = {name: points[name.split(", ")[-1]] for name in runs}
+    runs[KNOWN] = partial(add_all, filled("cuboid", drives["still"]), drives["still"])
     runs |= _references(bench, drives)
-    sizes |= {WHOLE: points["still"], CORE: points["still"], WIDE_CORE: points["wide"]}
-    _same_digest(drives["still"])
+    sizes |= dict.fromkeys((KNOWN, WHOLE, CORE), points["still"]) | {WIDE_CORE: points["wide"]}
     bench.say(f"core: {points['still']:,} points in {len(recording.points)} scans")
-    taken = bench.interleaved(ROUNDS, runs, both=["two threads"])
+    taken = bench.interleaved(ROUNDS, runs)
     ns = {name: [t / sizes[name] * 1e9 for t in each] for name, each in taken.items()}
-    return [*_by_model(ns), *_against_c(ns), *_by_order(ns), _two_threads(taken)]
+    return [*_by_model(ns), *_against_c(ns), *_by_order(ns)]
 
 
 def _references(bench: Bench, drives: dict[str, Drive]) -> dict[str, Callable[[], object]]:
@@ -72,16 +76,15 @@ def _references(bench: Bench, drives: dict[str, Drive]) -> dict[str, Callable[[]
     return {WHOLE: whole, CORE: core, WIDE_CORE: wide_core}
 
 
-def _same_digest(drive: Drive) -> None:
-    with filled("cuboid", drive) as one, filled("cuboid", drive, threads=2) as two:
-        assert one.digest() == two.digest(), "two threads made other bytes than one"
-
-
 def _by_model(ns: dict[str, list[float]]) -> list[Row]:
     beside = {"reference": WHOLE, "beside": ns[WHOLE]} if WHOLE in ns else {}
     cuboid = ns["cuboid, still"]
     return [
         rounds_row("core.cuboid", "add_scan, cuboid", UNIT, cuboid, mark=Mark(45.0), **beside),
+        rounds_row(
+            "core.known", "... on ground that is known, whose memory is there", UNIT, ns[KNOWN],
+            reference="new ground", beside=cuboid,
+        ),
         rounds_row(
             "core.deskew", "add_scan, cuboid, per-point times, 10 poses a sweep", UNIT, ns["cuboid, rows"],
             mark=Mark(1.3, "ratio"), reference="one pose a scan", beside=cuboid,
@@ -103,15 +106,16 @@ def _against_c(ns: dict[str, list[float]]) -> list[Row]:
     """Rates: the reference's time over ours, at least 0.9."""
     mark = Mark(0.9, "ratio", least=True)
     if WHOLE not in ns:
-        return [missing_row("core.c", "points a second against C", "M/s", mark, "no gcc here")]
+        return [missing_row("core.c", "add_scan, cuboid, against C", "M points/s", mark, "no gcc here")]
     ours, whole, core = ([1e3 / t for t in each] for each in (ns["cuboid, still"], ns[WHOLE], ns[CORE]))
     return [
         rounds_row(
-            "core.c", "points a second against C", "M/s", ours, mark=mark, reference=f"{WHOLE}, -O3", beside=whole,
+            "core.c", "add_scan, cuboid, against C", "M points/s", ours, mark=mark, reference=f"{WHOLE}, -O3",
+            beside=whole,
             note="equal cells, asserted",
         ),
         rounds_row(
-            "core.c.floor", "... against a floor: no placing, no tests, no tiles", "M/s", ours,
+            "core.c.floor", "... against a floor in C: no placing, no tests, no tiles", "M points/s", ours,
             reference=f"{CORE}, -O3", beside=core, note="equal cells, asserted",
         ),
     ]  # fmt: skip
@@ -135,11 +139,3 @@ def _by_order(ns: dict[str, list[float]]) -> list[Row]:
         *found,
         rounds_row("core.wide", "... footprints of points 30 to 60 m away", UNIT, ns["cuboid, wide"], **beside),
     ]
-
-
-def _two_threads(taken: dict[str, list[float]]) -> Row:
-    one, two = ([1.0 / t for t in taken[name]] for name in ("cuboid, still", "two threads"))
-    return rounds_row(
-        "core.threads", "scans' drive, two threads against one, same bytes", "1/s", two,
-        mark=Mark(1.7, "ratio", least=True), reference="one thread", beside=one,
-    )  # fmt: skip

@@ -30,7 +30,8 @@ class Mark:
 class Row:
     """One figure. ``low``, ``high``: quartiles, or the median and the largest where ``value`` is a p99.
 
-    ``unit`` is that of ``value``, ``low``, ``high`` and ``reference_value``. ``samples``: what the figure is made of.
+    ``unit`` is that of ``value``, ``low``, ``high`` and ``reference_value``. ``samples``, ``beside``: what the
+    figure and its reference are made of.
     ``note`` also says why there is no value, where there is none.
     """
 
@@ -45,6 +46,7 @@ class Row:
     reference_value: float | None = None
     ratio: float | None = None
     samples: Sequence[float] = field(default=(), repr=False)
+    beside: Sequence[float] = field(default=(), repr=False)
     note: str = ""
 
     @property
@@ -69,7 +71,9 @@ def rounds_row(
     low, value, high = np.percentile(samples, [25, 50, 75]).tolist()
     ratio = float(np.median(np.divide(samples, beside))) if len(beside) else None
     reference_value = float(np.median(beside)) if len(beside) else None
-    return Row(key, figure, unit, value, low, high, mark, reference, reference_value, ratio, list(samples), note)
+    return Row(
+        key, figure, unit, value, low, high, mark, reference, reference_value, ratio, list(samples), list(beside), note
+    )
 
 
 def latency_row(
@@ -89,7 +93,9 @@ def latency_row(
     low, high = (quarter, three) if percentile == 50 else (middle, most)
     reference_value = float(np.percentile(beside, percentile)) * 1e3 if len(beside) else None
     ratio = None if reference_value is None else value / reference_value
-    return Row(key, figure, "ms", value, low, high, mark, reference, reference_value, ratio, ms.tolist(), note)
+    return Row(
+        key, figure, "ms", value, low, high, mark, reference, reference_value, ratio, ms.tolist(), list(beside), note
+    )
 
 
 def missing_row(key: str, figure: str, unit: str, mark: Mark | None, why: str) -> Row:
@@ -107,6 +113,11 @@ class Bench:
     def rounds(self, number: int) -> int:
         """So many, or two where only wholeness counts."""
         return 2 if self.quick else number
+
+    @property
+    def settle_s(self) -> float:
+        """An asker's start and the service's first answers, which are not counted."""
+        return 0.5 if self.quick else 3.0
 
     def say(self, text: str) -> None:
         """Progress, on standard error."""

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from itertools import cycle
 
 import numpy as np
+from core_rows import add_all
 from figures import Bench, Mark, Row, rounds_row
 from scans import CELL_SIZE, NOISE, SCANS, Drive, recorded, still, within
 
@@ -37,7 +38,7 @@ class Held:
         self._fill(sites)
         assert self.map.tile_count == number, f"{self.map.tile_count} tiles, not {number}"
         for drive in self._drives:
-            self._add(drive)
+            add_all(self.map, drive)
         assert self.map.tile_count == number, "the drive left its site"
         self._turns = cycle(self._drives)
 
@@ -50,13 +51,9 @@ class Held:
         ]
         self.map.add(np.array(middles), np.eye(3) * 1e-6)
 
-    def _add(self, drive: Drive) -> None:
-        for scan in drive.scans:
-            self.map.add_scan(scan, drive.way, NOISE)
-
     def drive(self) -> None:
         """All scans at the next site."""
-        self._add(next(self._turns))
+        add_all(self.map, next(self._turns))
 
     def jump(self) -> None:
         """As many scans, each at another site than the one before."""

@@ -7,9 +7,6 @@ from figures import Bench, Mark, Row, latency_row, rounds_row
 from scans import COLUMNS, SCANS, recorded
 from serving import ROBOT, Sender, drive, open_session, served
 
-START_S = 3.0
-"""An asker's start and the service's first answers, which are not counted."""
-
 PLANNER_HZ = 20.0
 POSE_HZ = (10.0, 50.0, 200.0)
 LATE_PHASE = 0.37
@@ -30,13 +27,14 @@ def rows(bench: Bench) -> list[Row]:
         first = 0
         for name, planned, mark in (("65k", 30, 30.0), ("131k", 20, 60.0)):
             seconds = 1 if bench.quick else planned
-            skip = 5 if bench.quick else round(START_S * 10)
+            skip = round(bench.settle_s * 10)
             bench.say(f"latency: {name} points at 10 Hz, {PLANNER_HZ:g} queries a second, {seconds} s")
-            planner = Asker(service.endpoints, PLANNER_HZ, seconds + START_S, START_S, planner=True)
             sweeps = skip + seconds * 10
-            driven = drive(session, senders[name], first, sweeps, pose_hz=50.0, phase=0.0, skip=skip)
+            asker = Asker(service.endpoints, PLANNER_HZ, seconds + bench.settle_s, bench.settle_s, planner=True)
+            with asker as planner:
+                driven = drive(session, senders[name], first, sweeps, pose_hz=50.0, phase=0.0, skip=skip)
+                asked = planner.latencies()["planner"]
             first += sweeps
-            asked = planner.latencies()["planner"]
             figure = f"scan of {name} points to queryable, 10 Hz, log on, 20 queries a second"
             found += [
                 latency_row(f"latency.{name}.p50", f"{figure}, p50", driven.latency, 50),

@@ -22,10 +22,12 @@ import query_rows
 import service_rows
 import start_rows
 import table
+import thread_rows
 from figures import Bench, Row
 
 GROUPS: dict[str, Callable[[Bench], list[Row]]] = {
     "core": core_rows.rows,
+    "threads": thread_rows.rows,
     "held": held_rows.rows,
     "service": service_rows.rows,
     "latency": latency_rows.rows,

@@ -4,9 +4,9 @@ import shutil
 import time
 from pathlib import Path
 
-from core_rows import filled
+from core_rows import add_all, filled
 from figures import Bench, Mark, Row, rounds_row
-from scans import NOISE, SCANS, SWEEP_NS, recorded, still
+from scans import SCANS, SWEEP_NS, recorded, still
 from serving import Sender, flood, open_session, served
 
 from roughmap_service.cli.demo_parts import replay
@@ -39,8 +39,7 @@ def rows(bench: Bench) -> list[Row]:
                     if turn:
                         taken[name].append(points / seconds / 1e6)
                 begun = time.perf_counter()
-                for scan in local.scans:
-                    alone.add_scan(scan, local.way, NOISE)
+                add_all(alone, local)
                 if turn:
                     taken["alone"].append(points / (time.perf_counter() - begun) / 1e6)
         for session in sessions.values():

@@ -53,6 +53,7 @@ def _record(row: Row) -> dict[str, Any]:
         "met": row.met,
         "note": row.note,
         "samples": [_number(value) for value in row.samples],
+        "reference_samples": [_number(value) for value in row.beside],
     }
 
 

@@ -8,13 +8,15 @@ from pathlib import Path
 RUN = Path(__file__).with_name("run.py")
 
 ROWS = {
-    "core.cuboid", "core.deskew", "core.point", "core.ellipsoid", "core.c", "core.c.floor", "core.threads",
+    "core.cuboid", "core.deskew", "core.point", "core.ellipsoid", "core.c", "core.c.floor", "core.known",
     "core.order.columns", "core.order.mixed", "core.order.scattered", "core.wide",
+    "threads.new", "threads.known", "threads.c",
     "held.10", "held.1000", "held.20000", "held.1000.jumping", "held.20000.jumping",
     "service.shm", "service.tcp", "replay", "log",
     "latency.65k.p50", "latency.65k.p99", "latency.131k.p50", "latency.131k.p99", "planner.p50", "planner.p99",
     "whole.10.p50", "whole.10.p99", "whole.50.p50", "whole.50.p99", "whole.200.p50", "whole.200.p99",
-    "tile.idle.p50", "tile.idle.p99", "tile.loaded.p50", "tile.loaded.p99", "region.region", "region.tiles", "derive",
+    "tile.idle.p50", "tile.idle.p99", "tile.loaded.p50", "tile.loaded.p99", "derive",
+    "region.shm", "region.tcp", "tiles.shm", "tiles.tcp",
     "memory.dense", "memory.drive", "memory.spilling", "start", "start.stored",
 }  # fmt: skip
 """Those that must be there."""
