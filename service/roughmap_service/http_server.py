@@ -42,14 +42,16 @@ class HttpServer:
                     f"http.listen: {http.listen} is open to the network and there is no token; give one "
                     "(http.token_file, or ROUGHMAP_HTTP__TOKEN), listen on 127.0.0.1, or start with --insecure"
                 )
-            log.warning("http.listen: whoever is on the network can see health and metrics on %s", http.listen)
+            log.warning("insecure: http.listen: whoever is on the network can see health and metrics")
+        elif not self._on_loopback:
+            log.warning("http.listen: pages and token go over the network unencrypted; have a proxy with TLS before it")
         try:
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
             self._socket = socket.create_server((host, int(port)), family=family, backlog=64)
         except OSError as error:
+            why = str(error.strerror or error).partition(" (")[0]
             raise HttpError(
-                f"http.listen: {http.listen}: {error.strerror or error}; is the port in use? "
-                'Set http.listen to another one, or to "" for none'
+                f'http.listen: {http.listen}: {why}; set http.listen to another address, or to "" for none'
             ) from None
         name = f"[{host}]" if ":" in host else host
         self.url = f"http://{name}:{self._socket.getsockname()[1]}"

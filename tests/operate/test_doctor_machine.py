@@ -145,7 +145,8 @@ def test_who_could_get_in_over_zenoh(tmp_path: Path, monkeypatch: pytest.MonkeyP
         ("0.0.0.0:1", "", 0o600, "wrong"),
         ("0.0.0.0:1", "short", 0o600, "note"),
         ("0.0.0.0:1", "x" * 32, 0o644, "note"),
-        ("0.0.0.0:1", "x" * 32, 0o600, "ok"),
+        ("0.0.0.0:1", "x" * 32, 0o600, "note"),
+        ("127.0.0.1:1", "x" * 32, 0o600, "ok"),
     ],
 )
 def test_the_token_of_the_pages(tmp_path: Path, listen: str, token: str | None, mode: int, verdict: str | None) -> None:

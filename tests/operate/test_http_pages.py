@@ -130,7 +130,7 @@ def test_the_network_sees_nothing_without_a_token(tmp_path: Path) -> None:
 
 
 def test_a_port_that_is_taken_is_one_line() -> None:
-    with pages() as server, pytest.raises(HttpError, match=r"is the port in use\? Set http.listen"):
+    with pages() as server, pytest.raises(HttpError, match=r"Address already in use; set http.listen to another"):
         HttpServer(HttpConfig(listen=f"127.0.0.1:{address(server)[1]}"), Sources(Readiness()))
 
 

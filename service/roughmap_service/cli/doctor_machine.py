@@ -100,5 +100,7 @@ def http_port(listen: str | None, *, running: bool) -> Finding:
             pass
     except OSError as error:
         mend = 'stop what listens there (ss -ltnp), or set http.listen to another address, or to ""'
-        return Finding("http", "wrong", f"http.listen: {listen}: {error.strerror or error}", mend)
+        return Finding(
+            "http", "wrong", f"http.listen: {listen}: {str(error.strerror or error).partition(' (')[0]}", mend
+        )
     return Finding("http", "ok", f"http.listen: {listen} is free")

@@ -48,4 +48,7 @@ def http_access(http: HttpConfig) -> Finding | None:
     if http.token_file is not None and Path(http.token_file).stat().st_mode & 0o077:
         told = f"http.token_file: {http.token_file} can be read by others"
         return Finding("security", "note", told, f"chmod 600 {http.token_file}")
+    if not is_loopback(http.listen.rpartition(":")[0]):
+        told = "the pages want a token; it goes over the network unencrypted"
+        return Finding("security", "note", told, "have a proxy with TLS before http.listen, or keep the network closed")
     return Finding("security", "ok", "the pages want a token")
