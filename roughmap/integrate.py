@@ -15,6 +15,9 @@ from roughmap.settings import Rules, Settings
 from roughmap.tiles import TileTable
 from roughmap.workspace import Planes, ThreadScratch, Workspace
 
+_DENSE_POINTS = 128
+"""A tile that so many points of one scan touch will soon be known for the most part."""
+
 _NEVER_NS = np.iinfo(np.int64)
 
 
@@ -137,7 +140,7 @@ def integrate(
     ty = keys.astype(np.uint32).view(np.int32)
     bits = np.zeros((number, TILE_CELLS), np.uint64)
     table.open(entries[entries >= 0])
-    entries[new] = table.insert(tx[new], ty[new])
+    entries[new] = table.insert(tx[new], ty[new], dense=work[new] >= _DENSE_POINTS)
     table.used[entries] = sequence
 
     oldest, newest = table.oldest_ns[entries], table.newest_ns[entries]

@@ -10,13 +10,20 @@ from numba import types
 from numba.extending import intrinsic
 from numba.np.numpy_support import carray
 
-from roughmap.arrays import F8, I4, U8, Records, Scalar
+from roughmap.arrays import F8, I4, U8, Flags, Records, Scalar
 from roughmap.cell import CELL_DTYPE, TILE_CELLS
 from roughmap.jit import inline, kernel
 
 SLOT_CELLS = TILE_CELLS * TILE_CELLS
 SLOT_BYTES = SLOT_CELLS * CELL_DTYPE.itemsize
 SLAB_SLOTS = 64
+DENSE_ROWS = 48
+"""A tile with at least so many rows known costs little more when all of its memory is there."""
+
+KEPT_SLOTS = 128
+"""Free dense slots that keep their memory, 32 MiB: while somebody reads, each scan copies the tiles that it changes,
+and page faults would cost more than the copies."""
+
 CELL_WORDS = CELL_DTYPE.itemsize // 8
 """Eight-byte words of a cell: word 0 is count | updated << 32, words 1..7 are the floats in the dtype's order."""
 
@@ -104,6 +111,13 @@ def _known_rows(address: Scalar) -> int:
     return rows  # type: ignore[return-value]
 
 
+@kernel
+def _clear(address: Scalar) -> None:
+    a = words(address)
+    for n in range(SLOT_CELLS * CELL_WORDS):
+        a[n] = 0
+
+
 class Places:
     """Numbered places that are handed out, counted by pins, and free again when neither map nor reader needs them.
 
@@ -132,7 +146,8 @@ class Places:
         raise NotImplementedError
 
     def _vacated(self, place: int) -> None:
-        """Nobody needs what is in this place any more."""
+        """Nobody needs what is in this place any more: it is free."""
+        self._free.append(place)
 
     def allocate(self, number: int) -> I4:
         """``number`` places, live. All or none: MemoryError leaves them as they were, or more."""
@@ -161,38 +176,80 @@ class Places:
     def _free_dead(self, places: I4) -> None:
         for place in places[(self.pins[places] == 0) & ~self.live[places]].tolist():
             self._vacated(place)
-            self._free.append(place)
 
 
 class SlotPool(Places):
     """Slots of 256 KiB in memory, handed out zeroed, given back to the system when freed.
 
     Slabs are private anonymous maps of zero pages: one row of 64 cells is one page, so that a tile of which only a
-    part is known costs only the rows that were written. A slab never moves and is never unmapped while a view of it
-    is alive. :meth:`records`, :meth:`copy` and :meth:`known_cells` of pinned slots need no lock.
+    part is known costs only the rows that were written. Tiles of which most is known, or soon will be, come into slabs
+    of their own, of huge pages: a page fault costs more than the update of a hundred cells. A slab never moves and is
+    never unmapped while a view of it is alive. :meth:`records`, :meth:`copy` and :meth:`known_cells` of pinned slots
+    need no lock.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self._slabs: list[mmap.mmap] = []
+        self._free_dense: list[int] = []
+        self._written: set[int] = set()  # free dense slots that kept their memory, and what was in it
         self.address = np.zeros(0, np.uint64)
+        self.dense = np.zeros(0, np.bool_)
 
-    def _grow(self) -> None:
+    @property
+    def used(self) -> int:
+        """Slots that are not free."""
+        return super().used - len(self._free_dense)
+
+    def _map(self, advice: int) -> None:
+        """Another slab; its slots are the last of `_free`."""
         try:
             slab = mmap.mmap(-1, SLAB_SLOTS * SLOT_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         except OSError as error:  # which is what the system's refusal comes as
             raise MemoryError(f"no memory for {SLAB_SLOTS} more tiles: {error.strerror}") from None
         with contextlib.suppress(OSError):  # a kernel without huge pages knows no such advice
-            slab.madvise(mmap.MADV_NOHUGEPAGE)  # with them, one known row would cost eight tiles
+            slab.madvise(advice)
         start = np.frombuffer(slab, np.uint8).ctypes.data
         self._slabs.append(slab)
         self.address = np.append(self.address, np.uint64(start) + np.arange(SLAB_SLOTS, dtype=np.uint64) * SLOT_BYTES)
+        self.dense = np.append(self.dense, np.full(SLAB_SLOTS, advice == mmap.MADV_HUGEPAGE))
         self._extend(SLAB_SLOTS)
 
+    def _grow(self) -> None:
+        self._map(mmap.MADV_NOHUGEPAGE)  # with huge pages, one known row would cost eight tiles
+
+    def _grow_dense(self) -> None:
+        self._map(mmap.MADV_HUGEPAGE)
+        self._free_dense += self._free[-SLAB_SLOTS:]
+        del self._free[-SLAB_SLOTS:]
+
+    def allocate(self, number: int, dense: Flags | None = None) -> I4:
+        """``number`` zeroed slots; ``dense`` (number,): for tiles of which most will be known."""
+        if dense is None or not dense.any():
+            return super().allocate(number)
+        wanted = int(np.count_nonzero(dense))
+        while len(self._free_dense) < wanted:
+            self._grow_dense()
+        slots = np.empty(number, np.int32)
+        slots[~dense] = super().allocate(number - wanted)
+        slots[dense] = [self._free_dense.pop() for _ in range(wanted)]
+        self.live[slots] = True
+        for slot in self._written.intersection(slots[dense].tolist()):
+            self._written.remove(slot)
+            _clear(self.address[slot])
+        return slots
+
     def _vacated(self, place: int) -> None:
-        slab, number = divmod(place, SLAB_SLOTS)
-        # The pages go back to the system; the next reader of them sees zeros.
-        self._slabs[slab].madvise(mmap.MADV_DONTNEED, number * SLOT_BYTES, SLOT_BYTES)
+        if self.dense[place] and len(self._written) < KEPT_SLOTS:
+            self._written.add(place)
+        else:
+            slab, number = divmod(place, SLAB_SLOTS)
+            # The pages go back to the system; the next reader of them sees zeros.
+            self._slabs[slab].madvise(mmap.MADV_DONTNEED, number * SLOT_BYTES, SLOT_BYTES)
+        if self.dense[place]:
+            self._free_dense.append(place)
+        else:
+            self._free.append(place)
 
     def copy(self, source: int, target: int) -> None:
         """Copy slot ``source`` onto the zeroed slot ``target``."""
@@ -212,6 +269,10 @@ class SlotPool(Places):
     def known_rows(self, slot: int) -> int:
         """Which of the slot's rows hold a known cell: bit j for row j."""
         return int(_known_rows(self.address[slot]))
+
+    def is_dense(self, slot: int) -> bool:
+        """Whether the slot is for tiles of which most is known, or should be."""
+        return bool(self.dense[slot]) or self.known_rows(slot).bit_count() >= DENSE_ROWS
 
     def known_cells(self, slot: int) -> int:
         """Number of the slot's cells with a count."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from roughmap.arrays import I4, Records
+from roughmap.arrays import I4, Flags, Records
 from roughmap.cell import CELL_DTYPE
 from roughmap.index import Box, LevelIndex, grown
 from roughmap.memory import SLOT_BYTES, SLOT_CELLS, SlotPool
@@ -48,8 +48,10 @@ class TileTable:
         """Tiles of level 0 that are in memory."""
         return int(np.count_nonzero(self.slot[: self.size] >= 0))
 
-    def insert(self, tx: I4, ty: I4, slots: I4 | None = None) -> I4:
+    def insert(self, tx: I4, ty: I4, slots: I4 | None = None, dense: Flags | None = None) -> I4:
         """Give (T,) different tiles that are not there yet ``slots``, or a zeroed slot each; their entries.
+
+        ``dense`` (T,): see `SlotPool.allocate`.
 
         All memory is taken before anything changes: after a MemoryError the table is as it was.
         """
@@ -65,7 +67,7 @@ class TileTable:
             self.digest = grown(self.digest, capacity)
             self.digest_known = grown(self.digest_known, capacity)
         if slots is None:
-            slots = self.pool.allocate(number)
+            slots = self.pool.allocate(number, dense)
         first = self.size
         for shift, level in enumerate(self.levels):
             level.insert(tx, ty, shift)
@@ -83,7 +85,8 @@ class TileTable:
         if not len(shared):
             return
         old = self.slot[shared]
-        new = self.pool.allocate(len(shared))
+        dense = np.array([self.pool.is_dense(slot) for slot in old.tolist()])
+        new = self.pool.allocate(len(shared), dense)
         for source, target in zip(old.tolist(), new.tolist(), strict=True):
             self.pool.copy(source, target)
         self.slot[shared] = new

@@ -99,6 +99,7 @@ class Spill(Shelf):
         if self._slice[place] >= 0:
             self._left.append(int(self._slice[place]))
         self._slice[place] = NOWHERE
+        super()._vacated(place)
 
     def outlived(self) -> I8:
         """The places of tiles that have changed since they were stored, and are still read as they were then."""
