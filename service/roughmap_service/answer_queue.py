@@ -80,7 +80,8 @@ class AnswerQueue:
                 raise QueryFault(QueryCode.BUSY, f"{self._limit} queries are waiting already; ask again later")
             self._number += 1
             bisect.insort(self._waiting, _Waiting(self._number + cells // CELLS_A_PLACE, cells, run, refuse))
-            self._condition.notify_all()
+            # Any worker may take a small one; to wake them all costs as much as a small answer.
+            self._condition.notify(1 if cells <= SMALL_CELLS else len(self._threads))
 
     def close(self, timeout: float = 2.0) -> None:
         """Refuses what waits (``shutting_down``) and waits at most ``timeout`` seconds for what runs.
@@ -131,5 +132,6 @@ class AnswerQueue:
             finally:
                 with self._condition:
                     self._running_cells -= job.cells
-                    self._condition.notify_all()
+                    if self._waiting:
+                        self._condition.notify_all()
                 del job  # the closure holds the query: it ends for the asker only when it is let go
