@@ -23,6 +23,7 @@ from roughmap_schemas.keys import Keys, Selected
 from roughmap_schemas.reasons import QueryCode
 from roughmap_schemas.selectors import Bbox, RegionQuery, TileQuery
 from roughmap_service.emptied import Emptied, Gone
+from roughmap_service.settings import CACHE_SHARE
 from roughmap_service.tile_cache import TileCache
 from roughmap_service.tile_reply import (
     TILE_LIMIT,
@@ -97,7 +98,8 @@ class Reader:
         self.max_reply_tiles = config.query.max_reply_tiles
         self.max_region_cells = min(config.query.max_region_cells, MAX_CELLS)
         self._emptied = emptied
-        self._cache = TileCache(config.query.cache_limit)
+        # Of a small map.memory_limit most must be left for the tiles themselves.
+        self._cache = TileCache(min(config.query.cache_limit, int(config.map.memory_limit * CACHE_SHARE)))
 
     def wanted(self, look: TileQuery | RegionQuery) -> Wanted:
         """What is asked of each cell, the map's settings in place of what was left open."""
