@@ -86,23 +86,27 @@ class IngestReply:
         self._replies.send(self._query, model_bytes(error), is_error=True)
 
 
+Identity = tuple[str, str, str]
+"""Robot, kind and hash of a message."""
+
+
 class Duplicates:
     """The last messages by robot, kind and the 128-bit hash of their bytes, each with the input number it got."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
-        self._seen: OrderedDict[tuple[str, str, str], int] = OrderedDict()
+        self._seen: OrderedDict[Identity, int] = OrderedDict()
 
     @staticmethod
-    def identity(robot: str, kind: Kind, payload: bytes) -> tuple[str, str, str]:
+    def identity(robot: str, kind: Kind, payload: bytes) -> Identity:
         """What makes two messages the same one."""
         return robot, kind.value, xxhash.xxh3_128_hexdigest(payload)
 
-    def find(self, identity: tuple[str, str, str]) -> int | None:
+    def find(self, identity: Identity) -> int | None:
         """The input number of that message, None if it is not among the last ones."""
         return self._seen.get(identity)
 
-    def add(self, identity: tuple[str, str, str], number: int) -> None:
+    def add(self, identity: Identity, number: int) -> None:
         """Remember a message, forgetting the oldest past the limit."""
         self._seen[identity] = number
         while len(self._seen) > self._limit:

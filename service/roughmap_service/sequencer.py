@@ -218,9 +218,8 @@ class Sequencer:
         """Check, number, log and take up one input; whatever is refused is counted, and answered if it asked."""
         while not self._writer.wait_room(IDLE_SECONDS) and self._writer.ok and not self._stopping.is_set():
             pass  # the disk is slow: the intake, behind us, drops and counts meanwhile
-        identity = Duplicates.identity(message.robot, message.kind, message.payload)
         try:
-            first = self.duplicates.find(identity)
+            first = self.duplicates.find(message.identity)
             if first is not None:
                 self._acknowledge(message, first, duplicate=True)
                 return
@@ -239,7 +238,7 @@ class Sequencer:
         self.state.record += 1
         topic = self._keys.form(message.kind).make(robot=message.robot)
         self._writer.put(LogRecord(message.kind, topic, message.payload, message.received_ns, content.stamp_ns, number))
-        self.duplicates.add(identity, number)
+        self.duplicates.add(message.identity, number)
         self._take_up(number, message, content)
         self._acknowledge(message, number, duplicate=False)
 
