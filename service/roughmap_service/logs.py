@@ -6,13 +6,14 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Literal, TextIO
 
 Format = Literal["auto", "json", "text"]
 
-REPEAT_SECONDS = 60.0
-"""Of lines of one kind (and one robot) one is told in so many seconds, and how many were not."""
+REPEAT_SECONDS, REPEATS = 60.0, 5
+"""Of lines of one kind (and one robot) so many are told in so many seconds, and then how many were not."""
 
 MAX_KINDS = 1024
 """Kinds of lines that are remembered for that: robots' names come from outside."""
@@ -32,41 +33,57 @@ def set_up(log_format: Format, level: str, stream: TextIO) -> None:
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
 
 
+@dataclass
+class _Kind:
+    """Lines of one kind since a moment: how many were told and how many were not, and the last of these."""
+
+    since: float
+    told: int = 0
+    held: int = 0
+    last: logging.LogRecord | None = None
+
+
 class Lines(logging.StreamHandler[TextIO]):
-    """Writes each line once a while; those between are counted, and told with the next one or at the end."""
+    """Writes a few lines of each kind at a time; the others are counted, and told with the next one or at the end."""
 
     def __init__(self, stream: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(stream)
         self._clock = clock
-        self._told: OrderedDict[tuple[object, ...], tuple[float, int, logging.LogRecord]] = OrderedDict()
+        self._kinds: OrderedDict[tuple[object, ...], _Kind] = OrderedDict()
         self._counting = threading.Lock()
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write the record, or count it."""
         fields = getattr(record, "fields", {})
         kind = record.name, record.levelno, getattr(record, "event", record.msg), fields.get("robot")
-        if not getattr(record, "always", False):
-            with self._counting:
-                now = self._clock()
-                since, held, _ = self._told.get(kind, (float("-inf"), 0, record))
-                if now - since < REPEAT_SECONDS:
-                    self._told[kind] = since, held + 1, record
-                    return
-                self._told[kind] = now, 0, record
-                self._told.move_to_end(kind)
-                while len(self._told) > MAX_KINDS:
-                    self._told.popitem(last=False)
-            record.repeats = held
+        if not getattr(record, "always", False) and not self._may_tell(kind, record):
+            return
         super().emit(record)
+
+    def _may_tell(self, kind: tuple[object, ...], record: logging.LogRecord) -> bool:
+        with self._counting:
+            now, known = self._clock(), self._kinds.get(kind)
+            if known is None or now - known.since >= REPEAT_SECONDS:
+                record.repeats = known.held if known is not None else 0
+                self._kinds[kind] = known = _Kind(now)
+                self._kinds.move_to_end(kind)
+                while len(self._kinds) > MAX_KINDS:
+                    self._kinds.popitem(last=False)
+            if known.told < REPEATS:
+                known.told += 1
+                return True
+            known.held, known.last = known.held + 1, record
+            return False
 
     def close(self) -> None:
         """Tell the last line of each kind that was counted, and how many there were before it."""
         with self._counting:
-            left = [(held, record) for _, held, record in self._told.values() if held]
-            self._told.clear()
-        for held, record in left:
-            record.repeats = held - 1
-            super().emit(record)
+            kinds = list(self._kinds.values())
+            self._kinds.clear()
+        for kind in kinds:
+            if kind.last is not None:
+                kind.last.repeats = kind.held - 1
+                super().emit(kind.last)
         super().close()
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from roughmap_schemas.messages import MapStatus
-from roughmap_service.logs import MAX_KINDS, REPEAT_SECONDS, JsonFormatter, Lines, TextFormatter, note, set_up
+from roughmap_service.logs import MAX_KINDS, REPEAT_SECONDS, REPEATS, JsonFormatter, Lines, TextFormatter, note, set_up
 from roughmap_service.status import Overload
 
 
@@ -65,24 +65,26 @@ def test_repeats_are_counted_and_told_with_the_next_line(logger: logging.Logger)
     clock.now = REPEAT_SECONDS
     note(logger, logging.WARNING, "gap", "gap 100", robot="r1")
     told = [line.split(" WARNING ")[1] for line in stream.getvalue().splitlines()]
-    assert told == ["gap 0", "another robot's", "another kind", "gap 100 (and 99 more like it before)"]
+    few = [f"gap {number}" for number in range(REPEATS)]
+    assert told == [*few, "another robot's", "another kind", f"gap 100 (and {100 - REPEATS} more like it before)"]
 
 
 def test_what_was_counted_last_is_told_at_the_end(logger: logging.Logger) -> None:
     stream, _ = lines_to(logger, JsonFormatter())
-    for number in range(3):
+    for number in range(REPEATS + 2):
         logger.error("fault %d", number)
     logger.handlers[0].close()
-    assert [json.loads(line)["message"] for line in stream.getvalue().splitlines()] == ["fault 0", "fault 2"]
-    assert json.loads(stream.getvalue().splitlines()[1])["repeats"] == 1
+    told = [json.loads(line) for line in stream.getvalue().splitlines()]
+    assert [line["message"] for line in told] == [f"fault {n}" for n in (*range(REPEATS), REPEATS + 1)]
+    assert told[-1]["repeats"] == 1
 
 
 def test_a_state_that_is_entered_or_left_is_always_told(logger: logging.Logger) -> None:
     stream, _ = lines_to(logger, TextFormatter())
-    for _ in range(3):
+    for _ in range(10):
         note(logger, logging.WARNING, "degraded", "down", always=True)
         note(logger, logging.WARNING, "recovered", "up", always=True)
-    assert len(stream.getvalue().splitlines()) == 6
+    assert len(stream.getvalue().splitlines()) == 20
 
 
 def test_kinds_that_are_remembered_are_bounded(logger: logging.Logger) -> None:
@@ -91,7 +93,7 @@ def test_kinds_that_are_remembered_are_bounded(logger: logging.Logger) -> None:
         note(logger, logging.INFO, "robot", "first", robot=f"r{number}")
     handler = logger.handlers[0]
     assert isinstance(handler, Lines)
-    assert len(handler._told) == MAX_KINDS
+    assert len(handler._kinds) == MAX_KINDS
 
 
 def test_the_form_follows_the_terminal_and_the_setting(monkeypatch: pytest.MonkeyPatch) -> None:
