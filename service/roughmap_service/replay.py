@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from dataclasses import replace as with_values
 from pathlib import Path
 
-from roughmap_schemas import CheckpointEvent, Config, Event, configuration_digest
+from roughmap_schemas import CheckpointEvent, CloudReason, Config, Event, IntegrationEvent, configuration_digest
 
 from .apply import RunError, RunState
 from .fold import Step, fold
+from .inbox import INTEGRATED
 from .log_reader import EventRecord, FileStart, LogError, LogItem, RunFile, find_files, one_run, read_run
 from .settings import Settings, new_map
 from .store import Store
@@ -95,12 +96,22 @@ def what_if(
 
     def items() -> Iterator[LogItem]:
         for item in read_run(files):
-            yield with_values(item, config=change(item.config)) if isinstance(item, FileStart) else item
+            yield _anew(item, change)
 
     for step in fold(state, items()):
         if watch is not None:
             watch(step, state)
     return state
+
+
+def _anew(item: LogItem, change: Callable[[Config], Config]) -> LogItem:
+    """An item of the log as it is taken under other settings: what was refused for its tiles is placed again."""
+    if isinstance(item, FileStart):
+        return with_values(item, config=change(item.config))
+    if isinstance(item, EventRecord) and isinstance(event := item.event, IntegrationEvent):
+        outcome = INTEGRATED if event.outcome == CloudReason.TOO_MANY_TILES else event.outcome
+        return with_values(item, event=event.model_copy(update={"outcome": outcome}))
+    return item
 
 
 def config_of(file: RunFile) -> Config:

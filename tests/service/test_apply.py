@@ -99,6 +99,21 @@ def test_too_many_tiles_before_any_cell_is_written(limit: str) -> None:
     assert integrate(s, scan(wide[1:])).outcome == ("integrated" if limit == "max_new_tiles" else "too_many_tiles")
 
 
+def test_where_memory_is_full_and_in_its_replay_no_tile_is_new() -> None:
+    """What was refused once is refused again, with all the memory there is; on known ground it is another outcome."""
+    near, far = GROUND[:1], GROUND[:1] + np.array([10.0, 0.0, 0.0])
+    live, again = state(), state()
+    for s in (live, again):
+        assert integrate(s, scan(near)).outcome == "integrated"
+    live.no_new_tiles = True
+    refused = integrate(live, scan(far))
+    assert refused.outcome == CloudReason.TOO_MANY_TILES
+    assert integrate(again, scan(far), outcome="too_many_tiles") == refused
+    assert live.map.digest() == again.map.digest()
+    assert integrate(live, scan(near)).outcome == "integrated"
+    assert integrate(again, scan(near), outcome="too_many_tiles").outcome == "integrated", "no such event was logged"
+
+
 def test_a_cloud_in_the_maps_frame() -> None:
     """No pose, no range, no ceiling, no exclusion; the covariance is `placed_sigma` squared; zeros are a place."""
     near = {"range_sigma": 0.01, "max_range": 0.1, "ceiling": -10.0, "exclude": [[-9, -9, -9, 9, 9, 9]]}

@@ -11,6 +11,7 @@ from service_tools import Run, cloud, config, events_of, inputs_of, odometry, re
 from roughmap import RoughMap
 from roughmap_service.log_file import Kind
 from roughmap_service.recovery import recover
+from roughmap_service.replay import what_if
 from roughmap_service.store import Store
 
 
@@ -126,6 +127,16 @@ def test_what_if(logs: Path, tmp_path: Path) -> None:
     assert cut.configuration["map"]["cell_size"] == 0.2
     code, last, _ = replay(new)
     assert (code, last.rpartition(" ")[2]) == (0, run.state.map.digest())
+
+
+def test_what_if_there_had_been_room_for_more_tiles(logs: Path) -> None:
+    with Run(logs, config(map={"max_tiles": 2})) as run:
+        assert [run.scan(float(t), 10.0 * t).outcome for t in range(3)] == ["integrated", *["too_many_tiles"] * 2]
+        run.checkpoint()
+    assert replay(logs)[0] == 0
+    state = what_if([logs], lambda _: config(map={"max_tiles": 9}))
+    assert state.map.tile_count > run.state.map.tile_count
+    assert state.map.sequence == 3
 
 
 @pytest.mark.parametrize("change", ["map.cell_sizes=1", "map.cell_size=-1", "map.cell_size.x=1", "nothing.there=1"])
