@@ -93,8 +93,8 @@ class Memory:
         why = f"{self.spill.path}: map.spill_limit is reached" if eviction.short else ""
         try:
             eviction.write()
-        except OSError as error:
-            why = f"{self.spill.path}: {error.strerror}"
+        except (OSError, MemoryError) as error:
+            why = f"{self.spill.path}: {error.strerror if isinstance(error, OSError) else 'no memory to write'}"
         finally:
             with reading():
                 eviction.close()

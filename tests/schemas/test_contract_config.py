@@ -77,6 +77,7 @@ DEFAULTS = {
 """The contract's table, by hand."""
 
 FREE = {
+    "map": {"spill_path", "spill_limit"},
     "query": {"max_running_cells", "queue_limit", "cache_limit"},
     "log": {"max_file_bytes", "max_file_age", "queue_limit"},
     "store": {"snapshot_interval"},
