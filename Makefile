@@ -6,7 +6,7 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check audit bench bench-peers schemas lock clean
+.PHONY: help setup demo test check audit bench bench-peers faults schemas lock clean
 
 help:  ## this list
 	@echo "make TARGET, where TARGET is:"
@@ -45,6 +45,9 @@ bench: $(READY)  ## what it costs, each figure with its mark and a reference bes
 
 bench-peers: $(READY)  ## nanoseconds a point beside what pip can bring, in an environment of its own
 	$(BIN)/python tests/bench/peers.py $(ARGS)
+
+faults: $(READY)  ## kills, power cuts, full disks, damage, bad links: what a service must survive; about 10 minutes
+	$(BIN)/python tests/faults/run.py $(ARGS)
 
 schemas: $(READY)  ## schemas/json anew from the models
 	$(BIN)/python -m roughmap_schemas.export

@@ -61,13 +61,21 @@ def end_at_damage(damage: DamagedLog) -> None:
     """
     path = damage.path
     files = sorted(path.parent.glob(path.name.rpartition("-")[0] + "-*.mcap"))  # names sort as files were written
-    if path == files[0]:
+    readable = True
+    try:
         read_metadata(path)
+    except LogError:
+        if path == files[0]:
+            raise
+        readable = False
     for behind in files[: files.index(path) : -1]:  # the last first: a kill in here leaves no gap
         behind.rename(behind.with_name(behind.name + ".behind"))
         log.error("%s lies behind a damage, and is %s.behind now", behind.name, behind.name)
+    if readable:
+        repair(path, damaged=True)
+    else:
+        path.rename(path.with_name(path.name + ".torn"))
     sync_directory(path.parent)
-    repair(path, damaged=True)
 
 
 def _copy(path: Path, writer: Writer) -> int:

@@ -87,10 +87,14 @@ def recover(
     what was damaged is named and kept. LogError, StoreError, RunError or IdentityError, each one line, where the map
     can't be had again; Stopped once ``stop`` is set.
     """
+    ended: set[Path] = set()
     while True:
         try:
             return _recover(config, directory, store, _Watch(progress, stop or threading.Event(), memory))
         except DamagedLog as damage:
+            if damage.path in ended:
+                raise
+            ended.add(damage.path)
             log.error("%s; the run goes on from what lies before it", damage)
             end_at_damage(damage)
         except DamagedStore as damage:

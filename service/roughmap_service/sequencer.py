@@ -216,7 +216,8 @@ class Sequencer:
 
     def _accept(self, message: InputMessage) -> None:
         """Check, number, log and take up one input; whatever is refused is counted, and answered if it asked."""
-        while not self._writer.wait_room(IDLE_SECONDS) and self._writer.ok and not self._stopping.is_set():
+        # A log that can't be written is not waited for: every message would hold up all others, the refusals too.
+        while self._writer.ok and not self._writer.wait_room(IDLE_SECONDS) and not self._stopping.is_set():
             pass  # the disk is slow: the intake, behind us, drops and counts meanwhile
         try:
             first = self.duplicates.find(message.identity)

@@ -85,6 +85,16 @@ def test_what_the_store_holds_already_may_be_damaged_in_the_log(logs: Path, stor
     goes_on(logs, back)
 
 
+def test_a_file_whose_beginning_is_damaged_is_put_aside_whole(logs: Path) -> None:
+    digests = three_files(logs)
+    path = sorted(logs.iterdir())[1]
+    flip(path, path.read_bytes().index(b"base_sequence") / path.stat().st_size)
+    back = recover(config(), logs, None)
+    assert back.state.map.digest() == digests[0]
+    assert path.with_name(path.name + ".torn").exists()
+    goes_on(logs, back)
+
+
 def test_a_run_without_its_beginning_is_not_begun_anew(logs: Path) -> None:
     three_files(logs)
     path = sorted(logs.iterdir())[0]

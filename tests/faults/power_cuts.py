@@ -1,0 +1,81 @@
+"""Power cuts: a service's journal of what it did to its disk, cut anywhere, with what was not synced lost or torn."""
+
+import random
+import shutil
+import tomllib
+from pathlib import Path
+
+from cut_states import Disk, read_journal
+from load import Fleet, settings
+from processes import Service
+from report import Trial
+from service_tools import inputs_of, read_back
+from shim import Shim
+
+from roughmap_schemas import Config
+from roughmap_service.recovery import recover
+from roughmap_service.store import Store
+
+
+def power_cuts(trial: Trial, folder: Path, rng: random.Random, number: int, *, messages: int = 600) -> None:
+    """Run a service under load (with a kill and a restart in the midst), and recover from ``number`` cuts of it."""
+    shim = Shim(folder, journal=True)
+    fleet = Fleet(rng.randrange(1 << 30), clock=lambda: shim.journalled)
+    epochs: list[tuple[int, int]] = []
+    given = settings(shim.root, log={"max_file_bytes": "256KiB"})
+    for killed in (True, False):
+        with Service(folder, environ=shim.environ, **given) as service:
+            endpoints = service.ready()["endpoints"]
+            epochs.append((shim.journalled, len(epochs) + 1))
+            with fleet.at_work(endpoints):
+                trial.expect(fleet.wait_promised(fleet.promised + messages // 2, 60.0), "too few receipts")
+                if killed:
+                    service.process.kill()
+                    service.finished()
+            if not killed:
+                trial.expect(service.stop() == 0, "the end of the run that is cut")
+    if trial.found:
+        return
+    whole = [one.payload for one in inputs_of(read_back(shim.root / "log"))]
+    config = Config.model_validate(tomllib.loads((folder / "roughmap.toml").read_text()))
+    calls = list(read_journal(shim.journal))
+    cuts = sorted(rng.randrange(len(calls)) for _ in range(number))
+    trial.note("calls in the journal", len(calls))
+    disk, done = Disk(shim.root), 0
+    for cut in cuts:
+        for call in calls[done : cut + 1]:
+            disk.take(call)
+        done = max(done, cut + 1)
+        now = calls[cut].end
+        left = folder / "left"
+        disk.top.write(left, rng)
+        epoch = max((e for when, e in epochs if when <= now), default=0)
+        _recovers(trial, config, left, fleet, whole, now, epoch, f"power cut at call {cut}")
+        trial.once()
+        shutil.rmtree(left)
+
+
+def _recovers(
+    trial: Trial, config: Config, left: Path, fleet: Fleet, whole: list[bytes], now: int, epoch: int, where: str
+) -> None:
+    """Recover from what a cut left; hold it against the whole run, the promises, and the log alone."""
+    log, store = left / "log", Store(left / "store" / "map.db")
+    log.mkdir(exist_ok=True)  # as a start does
+    try:
+        back = recover(config, log, store)
+        cut = store.read_cut()
+        alone = recover(config, log, None)
+    except Exception as error:  # noqa: BLE001 - whatever it is, a start would fail
+        trial.expect(False, f"{where}: {type(error).__name__}: {error}")
+        return
+    digests = back.state.map.digest(), alone.state.map.digest()
+    trial.expect(digests[0] == digests[1], f"{where}: the map is {digests[0]}, the log alone makes {digests[1]}")
+    trial.expect(back.epoch > epoch, f"{where}: epoch {back.epoch}, and {epoch} was seen already")
+    if cut is not None:
+        trial.note("with a snapshot")
+        trial.expect(cut.record <= alone.state.record, f"{where}: the store is ahead of the log")
+    there = [one.payload for one in inputs_of(read_back(log))] if back.run else []
+    trial.expect(there == whole[: len(there)], f"{where}: the log is not the beginning of what was logged")
+    broken = fleet.broken_promises(log, now)
+    trial.expect(not broken, f"{where}: {len(broken)} broken promises, the first: {broken[:1]}")
+    trial.note("with a torn file", bool(list(log.glob("*.torn"))))

@@ -1,0 +1,50 @@
+"""`make faults`, shortened: the same trials, a few times each, of a seed that stays."""
+
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import paths  # noqa: F401 - before what it makes importable
+import pytest
+from report import Trial
+from run import TRIALS
+
+SHORT = {
+    "kills": 2,
+    "start": 1,
+    "shutdown": 1,
+    "power": 12,
+    "cuts": 150,
+    "logflips": 40,
+    "storeflips": 40,
+    "stores": 30,
+    "disk": 2,
+    "realdisk": 1,
+    "clock": 2,
+    "links": 3,
+    "messages": 20,
+}
+
+
+@pytest.mark.parametrize("name", TRIALS)
+def test_nothing_is_found(name: str, tmp_path: Path) -> None:
+    title, do, _ = TRIALS[name]
+    trial = Trial(title)
+    do(trial, tmp_path, random.Random(f"tests {name}"), SHORT[name])
+    trial.check()
+
+
+def test_the_command_tells_what_it_tried(tmp_path: Path) -> None:
+    command = [sys.executable, str(Path(__file__).with_name("run.py")), "--only", "stores", "--share", "0.02"]
+    done = subprocess.run([*command, "--seed", "3"], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "seed 3" in done.stderr
+    assert "store gone, old, or newer than the log  4      0" in done.stdout
+
+
+def test_what_is_found_is_told(tmp_path: Path) -> None:
+    trial = Trial("a fault")
+    trial.expect(False, "it broke")
+    with pytest.raises(AssertionError, match="it broke"):
+        trial.check()
