@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -40,6 +41,9 @@ from roughmap_service.view import View
 
 TILE_AREA = TILE_CELLS * TILE_CELLS
 INT32 = 2**31
+
+KNOWN_SELECTORS, SHORT_SELECTOR = 256, 512
+"""Selectors that are kept as read, and how long those are at most."""
 
 Box = tuple[int, int, int, int]
 LevelBox = tuple[int, Box | None]
@@ -98,6 +102,8 @@ class Reader:
         self.max_reply_tiles = config.query.max_reply_tiles
         self.max_region_cells = min(config.query.max_region_cells, MAX_CELLS)
         self._emptied = emptied
+        # Who asks for tiles asks the same over and over, and to read what it is takes as long as to answer it.
+        self._known_tile_query = lru_cache(KNOWN_SELECTORS)(self._tile_query)
         # Of a small map.memory_limit most must be left for the tiles themselves.
         self._cache = TileCache(min(config.query.cache_limit, int(config.map.memory_limit * CACHE_SHARE)))
 
@@ -160,8 +166,8 @@ class Reader:
 
     def tiles(self, key: str, parameters: str) -> Plan:
         """A query of ``maps/{map}/tiles/...``."""
-        asked = TileQuery.parse(parameters)
-        (level, x, y), pattern = self._selected(key)
+        short = len(key) + len(parameters) <= SHORT_SELECTOR
+        asked, (level, x, y), pattern = (self._known_tile_query if short else self._tile_query)(key, parameters)
         boxes: list[LevelBox] = []
         count = 0
         for z in range(self.levels) if level is None else (level,):
@@ -178,6 +184,9 @@ class Reader:
         return Plan(
             cells, lambda send: self._answer(boxes, lambda cut: self._tile_replies(asked, boxes, pattern, cut), send)
         )
+
+    def _tile_query(self, key: str, parameters: str) -> tuple[TileQuery, Selected, zenoh.KeyExpr | None]:
+        return TileQuery.parse(parameters), *self._selected(key)
 
     def _selected(self, key: str) -> tuple[Selected, zenoh.KeyExpr | None]:
         """Level, x and y (None: any); for key expressions of another form than numbers and `*` the expression itself,
