@@ -1,4 +1,4 @@
-"""Everything that the issue on speed asks for, in one table: figure, mark, measured, reference beside it, met or not.
+"""What it costs, in one table: figure, mark, measured, reference beside it, met or not.
 
     python tests/bench/run.py [--quick] [--only GROUP] [--out FOLDER]
 

@@ -62,7 +62,7 @@ def _number(value: float | None) -> float | None:
 
 
 def mark_text(row: Row) -> str:
-    """The mark as the issue on speed writes it."""
+    """The mark as a condition: `<= 45 ns a point`, `>= 0.9 x`."""
     mark = row.mark
     if mark is None:
         return ""

@@ -1,4 +1,4 @@
-"""The benchmark is whole: all rows of the issue on speed, JSON that parses, pictures. Never its times."""
+"""The benchmark is whole: all rows there, JSON that parses, pictures that are pictures. Never its times."""
 
 import json
 import subprocess
