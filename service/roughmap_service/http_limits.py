@@ -1,6 +1,8 @@
 """uvicorn with the bounds that it lacks: of connections, and of how long one may be held."""
 
 import asyncio
+import socket
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -44,7 +46,13 @@ class BoundedProtocol(H11Protocol):
     def _arm(self) -> None:
         if self._deadline is not None:
             self._deadline.cancel()
-        self._deadline = self.loop.call_later(RESPONSE_SECONDS, self.transport.abort)
+        self._deadline = self.loop.call_later(RESPONSE_SECONDS, self._let_go)
+
+    def _let_go(self) -> None:
+        connection = self.transport.get_extra_info("socket")
+        # Reset it: what was sent and never read would else stay in the kernel for as long as the other side pleases.
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self.transport.abort()
 
 
 def make_server(app: Callable[..., Any]) -> uvicorn.Server:
