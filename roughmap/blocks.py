@@ -10,6 +10,10 @@ from roughmap.jit import inline, kernel
 from roughmap.place import BLOCK, S, X, Y, Z, place_moving, place_still
 from roughmap.plain import flag_points, weigh_cuboids, weigh_ellipsoids, within
 from roughmap.strided import read_points
+from roughmap.update import RUN
+
+State = tuple[int, int, int]
+"""Tiles found so far, and the next rows of a run and of an odd point."""
 
 _MASK = TILE_CELLS - 1
 
@@ -35,46 +39,61 @@ def _weigh(first: Scalar, planes: Scalar, block: Scalar, rules: Scalar) -> None:
 
 
 @inline
-def _assign(
-    first: Scalar, size: Scalar, planes: Scalar, block: Scalar, window: Scalar, found: Scalar, number: Scalar,
-    odd: Scalar,
-) -> Scalar:  # fmt: skip
-    """Find the tile of each plain point of a block, and lay the odd ones aside from row ``odd`` on.
+def _lay_aside(n: Scalar, planes: Scalar, block: Scalar, odd: Scalar, window: Scalar) -> Scalar:
+    """Keep what the update of an odd point needs in row ``odd``; whether it lies in one tile."""
+    cells, body = block.cells, block.body
+    for m in range(4):
+        planes.odd_box[odd, m] = cells[m, n]
+        planes.odd_body[odd, 2 + m] = body[m, n]
+    planes.odd_body[odd, 0] = block.planes[X, n]
+    planes.odd_body[odd, 1] = block.planes[Y, n]
+    planes.odd_home[odd] = -1
+    return within(cells[0, n], cells[1, n], cells[2, n], cells[3, n], window)
 
-    There is room for a block's tiles. Returns (tiles, the next row for an odd point).
+
+@inline
+def _assign(
+    first: Scalar, size: Scalar, planes: Scalar, block: Scalar, window: Scalar, found: Scalar, state: Scalar
+) -> Scalar:
+    """Find the tile of each point of a block, make its runs, and lay the odd points aside.
+
+    ``state``: tiles so far, and the next rows of a run and of an odd point. There is room for a block's tiles. Returns
+    the state after it.
     """
     table, keys, work, rejected = found
-    cells, body = block.cells, block.body
+    number, runs, odd = state
+    cells = block.cells
     last_key = np.uint64(0)
     row: Scalar = np.int64(-1)
-    run = 0
+    worked = 0  # points of this tile in a row
+    length = 0  # of the run that is open, if not 0
     for n in range(size):
         k = first + n
         plain = block.plain[n] != 0
-        if not plain and planes.reason[k] != 0:
-            planes.home[k] = -1
-            rejected[planes.reason[k]] += 1
-            continue
-        i, j = cells[0, n], cells[1, n]
         if not plain:
-            planes.home[k] = -2 - odd
-            planes.odd_box[odd, 0] = i
-            planes.odd_box[odd, 1] = j
-            planes.odd_box[odd, 2] = cells[2, n]
-            planes.odd_box[odd, 3] = cells[3, n]
-            planes.odd_body[odd, 0] = block.planes[X, n]
-            planes.odd_body[odd, 1] = block.planes[Y, n]
-            for m in range(4):
-                planes.odd_body[odd, 2 + m] = body[m, n]
-            odd += 1
-            if not within(i, j, cells[2, n], cells[3, n], window):
-                planes.odd_home[odd - 1] = -1
+            if length:
+                planes.run_stop[runs - 1] = k
+                length = 0
+            if planes.reason[k] != 0:
+                rejected[planes.reason[k]] += 1
                 continue
+            alone = _lay_aside(n, planes, block, odd, window)
+            planes.run_start[runs] = k
+            planes.run_stop[runs] = k + 1
+            planes.run_home[runs] = -1 - odd
+            runs += 1
+            odd += 1
+            if not alone:
+                continue
+        i, j = cells[0, n], cells[1, n]
         key = tile_key(i >> TILE_SHIFT, j >> TILE_SHIFT)
         if row < 0 or key != last_key:
-            if run:
-                work[row] += run
-                run = 0
+            if worked:
+                work[row] += worked
+                worked = 0
+            if length:
+                planes.run_stop[runs - 1] = k
+                length = 0
             last_key = key
             row = find(table, keys, key)
             if row < 0:
@@ -83,22 +102,30 @@ def _assign(
                 work[number] = 0
                 place_key(table, key, number)
                 number += 1
-        run += 1
-        if plain:
-            planes.home[k] = row
-            planes.corner[k] = (j & _MASK) << TILE_SHIFT | (i & _MASK)
-        else:
+        worked += 1
+        if not plain:
             planes.odd_home[odd - 1] = row
-    if run:
-        work[row] += run
-    return number, odd
+            continue
+        planes.corner[k] = (j & _MASK) << TILE_SHIFT | (i & _MASK)
+        if length == RUN:
+            planes.run_stop[runs - 1] = k
+            length = 0
+        if length == 0:
+            planes.run_start[runs] = k
+            planes.run_home[runs] = row
+            runs += 1
+        length += 1
+    if length:
+        planes.run_stop[runs - 1] = first + size
+    if worked:
+        work[row] += worked
+    return number, runs, odd
 
 
 @kernel
 def scan_blocks(
     start: int,
     stop: int,
-    odd: int,
     planes: Scalar,
     block: Scalar,
     source: Scalar,
@@ -112,17 +139,16 @@ def scan_blocks(
     returns: Scalar,
     rules: Scalar,
     found: Scalar,
-    number: int,
-) -> tuple[int, int, int]:
+    state: State,
+) -> tuple[int, State]:
     """Place, bound and weigh the points of a scan from ``start``, where a block begins, to ``stop``; find their tiles.
 
     What is known of a point only on the way lives as long as its block. Stops early where the table of tiles in
-    ``found`` has no room for another block. Returns (point at which it stopped, next row for an odd point,
-    number of tiles).
+    ``found`` has no room for another block. Returns the point at which it stopped and the `State` there.
     """
     for first in range(start, stop, BLOCK):
-        if 2 * (number + BLOCK) > len(found[0]):
-            return first, odd, number
+        if 2 * (state[0] + BLOCK) > len(found[0]):
+            return first, state
         size = min(BLOCK, stop - first)
         reason = planes.reason[first : first + BLOCK]
         read_points(source, first, size, block.planes)
@@ -135,29 +161,28 @@ def scan_blocks(
         else:
             place_still(block.planes, reason, with_covariance, posed, pose, returns)
         _weigh(first, planes, block, rules)
-        number, odd = _assign(first, size, planes, block, rules[3], found, number, odd)
-    return stop, odd, number
+        state = _assign(first, size, planes, block, rules[3], found, state)
+    return stop, state
 
 
 @kernel
 def point_blocks(
     start: int,
     stop: int,
-    odd: int,
     planes: Scalar,
     block: Scalar,
     source: Scalar,
     covariance: F8,
     rules: Scalar,
     found: Scalar,
-    number: int,
-) -> tuple[int, int, int]:
+    state: State,
+) -> tuple[int, State]:
     """The same for points in the map frame. ``covariance``: (1, 3, 3) for all, or one a point."""
     each = np.int64(1) if len(covariance) > 1 else np.int64(0)
     P = block.planes
     for first in range(start, stop, BLOCK):
-        if 2 * (number + BLOCK) > len(found[0]):
-            return first, odd, number
+        if 2 * (state[0] + BLOCK) > len(found[0]):
+            return first, state
         size = min(BLOCK, stop - first)
         read_points(source, first, size, block.planes)
         if rules[0] != POINT:
@@ -170,5 +195,5 @@ def point_blocks(
                 P[S + 4, n] = c[1, 2]
                 P[S + 5, n] = c[2, 2]
         _weigh(first, planes, block, rules)
-        number, odd = _assign(first, size, planes, block, rules[3], found, number, odd)
-    return stop, odd, number
+        state = _assign(first, size, planes, block, rules[3], found, state)
+    return stop, state

@@ -158,17 +158,39 @@ def _enqueue_point(
 
 
 @inline
-def _widen(oldest: I8, newest: I8, row: Scalar, low: Scalar, high: Scalar) -> None:
-    """Widen a tile's stamps."""
+def _widen(oldest: I8, newest: I8, row: Scalar, stamps: I8, first: Scalar, last: Scalar) -> None:
+    """Widen a tile's stamps by those of some points."""
+    low = high = stamps[0]
+    if len(stamps) > 1:
+        low = high = stamps[first]
+        for n in range(first + 1, last):
+            low, high = min(low, stamps[n]), max(high, stamps[n])
     oldest[row] = min(oldest[row], low)
     newest[row] = max(newest[row], high)
+
+
+@inline
+def _enqueue_run(
+    queue: Scalar, count: Scalar, first: Scalar, last: Scalar, base: Scalar, bits: U8, row: Scalar, planes: Scalar,
+    model: Scalar,
+) -> Scalar:  # fmt: skip
+    """The same for a run of plain points in the tile at ``base``."""
+    for n in range(first, last):
+        corner = np.uint64(planes.corner[n])
+        where = base + corner * _BYTES
+        if model == POINT:
+            count = _enqueue_point(queue, count, n, where, corner, bits, np.uint64(row))
+        else:
+            count = _enqueue_plain(queue, count, n, where, corner, bits, np.uint64(row), planes.weight)
+    return count
 
 
 @kernel
 def update_tiles(
     part: int,
     owner: U1,
-    edges: I8,
+    starts: I8,
+    ends: I8,
     planes: Scalar,
     stamps: I8,
     rules: Scalar,
@@ -186,52 +208,30 @@ def update_tiles(
 ) -> None:
     """Update the cells of the tiles that ``part`` owns, in the order of the points.
 
-    ``edges`` (P + 1,): the ranges of points of phase one; ``rows`` (P, R): for the tiles that each found, their rows
-    here. ``stamps``: one for all points, or one a point. ``bits`` (T, 64): a bit for each changed cell, rows along y.
-    ``oldest``, ``newest`` (T,) of the tiles' points are widened.
+    ``starts``, ``ends`` (P,): the rows of the runs that the parts of phase one made; ``rows`` (P, R): for the tiles
+    that each found, their rows here. ``stamps``: one for all points, or one a point. ``bits`` (T, 64): a bit for each
+    changed cell, rows along y. ``oldest``, ``newest`` (T,) of the tiles' points are widened.
     """
     model, a, _, window, _, min_share = rules
     w0, v0, w1, v1 = window
-    timed = len(stamps) > 1
-    stamp = stamps[0]
     count = np.uint64(0)
-    # The tile of the last plain point and the stamps of those in a row that lay in it: written once a run, since
-    # another thread may be writing to the tile beside it, in the same cache line.
-    last: Scalar = np.int64(-1)
-    low, high = stamp, stamp
-    for found in range(len(edges) - 1):
-        translate = rows[found]
-        for n in range(edges[found], edges[found + 1]):
-            home = np.int64(planes.home[n])
-            if home == -1:
-                continue
+    for found in range(len(starts)):
+        for run in range(starts[found], ends[found]):
+            home = np.int64(planes.run_home[run])
+            odd = -1 - home
+            row = np.int64(planes.odd_home[odd]) if home < 0 else home
+            if row >= 0:
+                row = np.int64(rows[found, row])
+                if owner[row] != part:
+                    continue
             if count >= QUEUE:
                 drain(queue, count, planes.z, planes.q, stamps, model, min_distance)
                 count = np.uint64(0)
-            if timed:
-                stamp = stamps[n]
+            n, stop = np.int64(planes.run_start[run]), np.int64(planes.run_stop[run])
             if home >= 0:
-                row = np.int64(translate[home])
-                if owner[row] != part:
-                    continue
-                corner = np.uint64(planes.corner[n])
-                where = address[row] + corner * _BYTES
-                if model == POINT:
-                    count = _enqueue_point(queue, count, n, where, corner, bits, np.uint64(row))
-                else:
-                    count = _enqueue_plain(queue, count, n, where, corner, bits, np.uint64(row), planes.weight)
-                if row != last:
-                    if last >= 0:
-                        _widen(oldest, newest, last, low, high)
-                    last, low, high = row, stamp, stamp
-                low, high = min(low, stamp), max(high, stamp)
+                count = _enqueue_run(queue, count, n, stop, address[row], bits, row, planes, model)
+                _widen(oldest, newest, row, stamps, n, stop)
                 continue
-            odd = -2 - home
-            row = np.int64(planes.odd_home[odd])
-            if row >= 0:
-                row = np.int64(translate[row])
-                if owner[row] != part:
-                    continue
             i0, j0, i1, j1 = box_of(planes.odd_box, odd)
             ni = i1 - i0 + 1
             least = min_share * shares_of(model, planes.odd_box, planes.odd_body, odd, a, lines, shares)
@@ -240,7 +240,7 @@ def update_tiles(
                 count = _enqueue_odd(
                     queue, count, n, address[row], bits, row, q, i0, j0, ni, i0, i1, j0, j1, least, shares
                 )
-                _widen(oldest, newest, row, stamp, stamp)
+                _widen(oldest, newest, row, stamps, n, stop)
                 continue
             for ty in range(j0 >> _SHIFT, (j1 >> _SHIFT) + 1):
                 for tx in range(i0 >> _SHIFT, (i1 >> _SHIFT) + 1):
@@ -255,7 +255,5 @@ def update_tiles(
                         shares,
                     )  # fmt: skip
                     if count != before:
-                        _widen(oldest, newest, row, stamp, stamp)
-    if last >= 0:
-        _widen(oldest, newest, last, low, high)
+                        _widen(oldest, newest, row, stamps, n, stop)
     drain(queue, count, planes.z, planes.q, stamps, model, min_distance)

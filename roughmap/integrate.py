@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from roughmap.arrays import I4, I8, U1, U8
+from roughmap.blocks import State
 from roughmap.cell import TILE_CELLS, TooManyTiles
 from roughmap.changes import mark_changed
 from roughmap.fused import collect_odd, update_tiles
@@ -66,23 +67,21 @@ def _share_out(order: I8, work: I8, parts: int, owner: U1) -> None:
         load[least] += work[n]
 
 
-def find_tiles(
-    start: int,
-    stop: int,
-    planes: Planes,
-    rules: Rules,
-    scratch: ThreadScratch,
-    geometry: Callable[[int, int, int, ThreadScratch], tuple[int, int, int]],
-) -> None:
+Geometry = Callable[[int, int, ThreadScratch, State], tuple[int, State]]
+"""Phase one over a range of points: (start, stop, scratch, state before) to (where it stopped, state there)."""
+
+
+def find_tiles(start: int, stop: int, planes: Planes, rules: Rules, scratch: ThreadScratch, geometry: Geometry) -> None:
     """Phase one for a range of points: their ``geometry``, and the tiles in which they take part, in the scratch."""
     tiles = scratch.tiles
     tiles.clear()
-    at, odd = start, start
+    at, state = start, (0, start, start)
     while at < stop:
-        at, odd, tiles.number = geometry(at, stop, odd, scratch)
+        at, state = geometry(at, stop, scratch, state)
+        tiles.number, tiles.runs, _ = state
         if at < stop:
             tiles.double()
-    at = start
+    at, odd = start, state[2]
     while at < odd:
         at, tiles.number = collect_odd(
             at, odd, planes, rules, tiles.arrays, tiles.number, scratch.lines, scratch.shares
@@ -149,11 +148,14 @@ def integrate(
     owner = np.zeros(number, np.uint8)
     _share_out(np.argsort(-work, kind="stable"), work, parts, owner)
 
+    ends = np.array([scratch.tiles.runs for scratch in space.scratch[:parts]])
+
     def update(part: int, scratch: ThreadScratch) -> None:
         update_tiles(
             part,
             owner,
-            edges,
+            edges[:-1],
+            ends,
             planes,
             stamps,
             settings.rules,

@@ -1,6 +1,6 @@
 """The map: points in, tiles of cells kept up to date, readings out."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -10,13 +10,14 @@ import numpy.typing as npt
 
 from roughmap import blocks, loading
 from roughmap.arrays import F8, I4, I8, U1, Records
+from roughmap.blocks import State
 from roughmap.cell import OFFSET_LIMIT_NS, REASON_NAMES, STAMP_LIMIT_NS, TILE_CELLS, PointReason
 from roughmap.digest import map_digest, tile_digest
 from roughmap.eviction import Eviction
 from roughmap.footprint import POINT
 from roughmap.frozen import Frozen, TileBox
 from roughmap.index import TileVersions, paired
-from roughmap.integrate import AddReport, find_tiles, integrate
+from roughmap.integrate import AddReport, Geometry, find_tiles, integrate
 from roughmap.merge_cache import MergeCache
 from roughmap.place import BLOCK, pose_at
 from roughmap.region import Region, cell_box, read_region, tile_box
@@ -159,10 +160,9 @@ class RoughMap:
             planes.reason[:number][late & np.isfinite(checked).all(axis=1)] = PointReason.TIME
         source, rules = source_of(checked), self.settings.rules
 
-        def bound(start: int, stop: int, odd: int, scratch: ThreadScratch) -> tuple[int, int, int]:
-            t = scratch.tiles
+        def bound(start: int, stop: int, scratch: ThreadScratch, state: State) -> tuple[int, State]:
             return blocks.point_blocks(
-                start, stop, odd, planes, scratch.block, source, matrices, rules, t.arrays, t.number
+                start, stop, planes, scratch.block, source, matrices, rules, scratch.tiles.arrays, state
             )
 
         return self._add(number, planes, stamps, bound, max_new_tiles, max_tiles)
@@ -191,11 +191,10 @@ class RoughMap:
         planes = self._space.planes(number)
         source, own = source_of(scan.points), self.settings.rules
 
-        def place(start: int, stop: int, odd: int, scratch: ThreadScratch) -> tuple[int, int, int]:
-            t = scratch.tiles
+        def place(start: int, stop: int, scratch: ThreadScratch, state: State) -> tuple[int, State]:
             return blocks.scan_blocks(
-                start, stop, odd, planes, scratch.block, source, offsets, scan.offsets_ns is not None, scan.stamp_ns,
-                way, gap, posed, pose, rules, own, t.arrays, t.number,
+                start, stop, planes, scratch.block, source, offsets, scan.offsets_ns is not None, scan.stamp_ns, way,
+                gap, posed, pose, rules, own, scratch.tiles.arrays, state,
             )  # fmt: skip
 
         return self._add(number, planes, stamps, place, max_new_tiles, max_tiles)
@@ -205,7 +204,7 @@ class RoughMap:
         number: int,
         planes: Planes,
         stamps: I8,
-        geometry: Callable[[int, int, int, ThreadScratch], tuple[int, int, int]],
+        geometry: Geometry,
         max_new_tiles: int | None,
         max_tiles: int | None,
     ) -> AddReport:

@@ -10,6 +10,9 @@ from roughmap.memory import floats, words
 QUEUE = 512
 """Updates that wait before they are done: their cells, asked for meanwhile, fit the first-level cache."""
 
+RUN = 64
+"""Points that are queued together, at most."""
+
 _COUNT = np.uint64(0xFFFFFFFF)
 _SHIFT = np.uint64(32)
 

@@ -11,7 +11,7 @@ from roughmap.arrays import F8, I4, I8, U1, U2, U8
 from roughmap.cell import PointReason
 from roughmap.index import rehash
 from roughmap.place import BLOCK, PLANES, STRIDE
-from roughmap.update import QUEUE
+from roughmap.update import QUEUE, RUN
 
 _KEPT_POINTS = 1 << 18
 """Planes for more points than this (some 35 MB) are given back after the call that needed them."""
@@ -29,20 +29,23 @@ class Planes(NamedTuple):
     """What is kept of a scan's points from their geometry to the update of the cells: an array a quantity.
 
     ``z``: height, map frame. ``q``: weight over share. ``weight`` (blocks, 4, BLOCK): weights in the cells (i, j),
-    (i+1, j), (i, j+1), (i+1, j+1) of a plain point, 0 where it takes no part. ``home``: row of the tile in which a
-    plain point lies, -1 for a rejected point, -2 - k for the odd point of row k. ``corner``: cell (i, j) in that tile.
+    (i+1, j), (i, j+1), (i+1, j+1) of a plain point, 0 where it takes no part; ``corner``: cell (i, j) in its tile.
 
-    A point is plain if its footprint is at most 2 x 2 cells of one tile; else it is odd, with a row (of its part's
-    range, from the front) in ``odd_box`` (cells i0, j0, i1, j1, both ends in it), ``odd_body`` (x, y, and four numbers
-    of its error body) and ``odd_home`` (row of its tile, or -1 if there are several).
+    A point is plain if its footprint is at most 2 x 2 cells of one tile; else it is odd. Plain points of one tile that
+    follow each other make a run, and so does each odd point: from ``run_start`` to ``run_stop``, with ``run_home`` the
+    row of that tile, or -1 - k for the odd point of row k. ``odd_box``: cells i0, j0, i1, j1, both ends in it;
+    ``odd_body``: x, y, and four numbers of the error body; ``odd_home``: row of its tile, or -1 if there are several.
+    The rows of a part's runs and odd points begin where its range of points begins.
     """
 
     z: F8
     reason: U1
-    home: I4
     corner: U2
     q: F8
     weight: F8
+    run_start: I4
+    run_stop: I4
+    run_home: I4
     odd_box: I4
     odd_body: F8
     odd_home: I4
@@ -54,10 +57,12 @@ def _planes(blocks: int) -> Planes:
     return Planes(
         np.empty(number),
         np.zeros(number, np.uint8),
-        np.empty(number, np.int32),
         np.empty(number, np.uint16),
         np.empty(number),
         np.empty((blocks, 4, BLOCK)),
+        np.empty(number, np.int32),
+        np.empty(number, np.int32),
+        np.empty(number, np.int32),
         np.empty((number, 4), np.int32),
         np.empty((number, 6)),
         np.empty(number, np.int32),
@@ -89,7 +94,8 @@ class Queue(NamedTuple):
 class Touched:
     """What a part of a scan touches: the tiles, by key, in a small hash that doubles when it is half full.
 
-    ``work``: points in each tile. ``number``: tiles. ``rejected``: points, by `PointReason`.
+    ``work``: points in each tile. ``number``: tiles. ``runs``: the row after the last run. ``rejected``: points, by
+    `PointReason`.
     """
 
     def __init__(self) -> None:
@@ -97,6 +103,7 @@ class Touched:
         self.keys = np.zeros(512, np.uint64)
         self.work = np.zeros(512, np.int64)
         self.number = 0
+        self.runs = 0
         self.rejected = np.zeros(len(PointReason), np.int64)
 
     @property
@@ -132,7 +139,7 @@ class ThreadScratch:
         self.tiles = Touched()
         self.lines = np.zeros((5, side + 1))
         self.shares = np.empty(side * side)
-        room = QUEUE + side * side
+        room = QUEUE + max(side * side, 4 * RUN)
         self.queue = Queue(np.empty(room, np.uint64), np.empty(room), np.empty(room, np.int64))
 
 
