@@ -3,9 +3,7 @@
 import numpy as np
 
 from roughmap.arrays import I4
-from roughmap.cell import TILE_CELLS
 from roughmap.digest import tile_digest
-from roughmap.memory import SLOT_BYTES
 from roughmap.tiles import TileTable
 
 
@@ -18,7 +16,6 @@ class Eviction:
     Attributes:
         number: how many tiles were chosen; fewer than asked for if there are no more, or the shelf has no room.
         short: whether the shelf's room was the reason.
-        freed: bytes of memory that `close` gave back.
     """
 
     def __init__(self, table: TileTable, number: int, sequence: int) -> None:
@@ -30,14 +27,13 @@ class Eviction:
         self.number = number = min(number, table.shelf.room)
         if 0 < number < len(cold):
             cold = cold[np.argpartition(table.used[cold], number - 1)]
-        self.freed = 0
         self._table = table
         self._entries: I4 = cold[:number].astype(np.int32)
         self._slots = table.slot[self._entries]
         self._digests = table.digest[self._entries]
         self._known = table.digest_known[self._entries]
         self._places = table.shelf.allocate(number)
-        self._rows = np.zeros(number, np.int64)
+        self._written = 0
         table.pool.pin(self._slots)
 
     def write(self) -> None:
@@ -47,19 +43,18 @@ class Eviction:
             records = pool.records(slot)
             if not self._known[n]:
                 self._digests[n] = np.frombuffer(tile_digest(records), np.uint8)
-            rows = pool.known_rows(slot)
-            shelf.write(place, records, rows)
-            self._rows[n] = rows.bit_count()
+            shelf.write(place, records, pool.known_rows(slot))
+            self._written = n + 1
 
     def close(self) -> None:
         """Under the lock: those tiles leave memory that were written and have not changed meanwhile."""
         table = self._table
         # A tile that was written meanwhile, being pinned, has another slot now: the map has left this one.
-        gone = (self._rows > 0) & table.pool.live[self._slots]
+        gone = (np.arange(self.number) < self._written) & table.pool.live[self._slots]
         entries = self._entries[gone]
         table.digest[entries], table.digest_known[entries] = self._digests[gone], True
         table.slot[entries] = ~self._places[gone]
         table.pool.unpin(self._slots)
         table.pool.release(self._slots[gone])
+        table.pool.trim()
         table.shelf.release(self._places[~gone])
-        self.freed = int(self._rows[gone].sum()) * (SLOT_BYTES // TILE_CELLS)

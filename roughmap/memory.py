@@ -243,13 +243,21 @@ class SlotPool(Places):
         if self.dense[place] and len(self._written) < KEPT_SLOTS:
             self._written.add(place)
         else:
-            slab, number = divmod(place, SLAB_SLOTS)
-            # The pages go back to the system; the next reader of them sees zeros.
-            self._slabs[slab].madvise(mmap.MADV_DONTNEED, number * SLOT_BYTES, SLOT_BYTES)
+            self._give_back(place)
         if self.dense[place]:
             self._free_dense.append(place)
         else:
             self._free.append(place)
+
+    def _give_back(self, slot: int) -> None:
+        """The slot's pages go back to the system; the next reader of them sees zeros."""
+        slab, number = divmod(slot, SLAB_SLOTS)
+        self._slabs[slab].madvise(mmap.MADV_DONTNEED, number * SLOT_BYTES, SLOT_BYTES)
+
+    def trim(self) -> None:
+        """Where memory is short: no free slot keeps any."""
+        while self._written:
+            self._give_back(self._written.pop())
 
     def copy(self, source: int, target: int) -> None:
         """Copy slot ``source`` onto the zeroed slot ``target``."""

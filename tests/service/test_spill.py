@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from roughmap import RoughMap, TooManyTiles
 from roughmap.layers import LAYERS
 from roughmap.memory import SLOT_BYTES
-from roughmap_service.memory import Memory
+from roughmap_service.memory import Memory, memory_bytes
 from roughmap_service.spill import Spill, SpillError
 
 S = np.diag([0.03, 0.03, 0.02]) ** 2
@@ -52,7 +52,6 @@ def leave(rough_map: RoughMap, number: int = 10**6) -> int:
         eviction.write()
     finally:
         eviction.close()
-    assert eviction.freed % 4096 == 0
     return before - rough_map.resident_tiles
 
 
@@ -304,6 +303,17 @@ def test_memory_is_relieved_down_to_the_low_mark_and_then_left_alone(spill: Spil
     assert 10 < sum(a > b for a, b in itertools.pairwise(seen)) < 30, "in batches, not one by one"
     assert memory.ok
     assert not memory.full
+
+
+def test_what_leaves_memory_is_given_back_to_the_system(spill: Spill) -> None:
+    """Tiles full of points, which lie in huge pages where there are some: 200 of 256 KiB, less what else moves."""
+    m = RoughMap(error_model="point", threads=1, shelf=spill)
+    cells = np.stack(np.meshgrid(np.arange(64), np.arange(64)), axis=-1).reshape(-1, 2) * 0.1 + 0.05
+    for n in range(201):
+        m.add(np.column_stack([cells + np.array([6.4 * n, 0.0]), np.zeros(len(cells))]))
+    before = memory_bytes()
+    assert leave(m) == 200
+    assert before - memory_bytes() > 180 * SLOT_BYTES
 
 
 def test_where_tiles_cannot_leave_the_memory_says_full_until_they_can(
