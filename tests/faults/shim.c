@@ -21,7 +21,7 @@
 #include <unistd.h>
 
 enum { OPEN = 1, WRITE, SYNC, CUT, RENAME, UNLINK, MKDIR };
-enum { CLOCK_NS, ERRNO, WRITE_EVERY, SYNC_EVERY, RENAME_EVERY, OPEN_EVERY, ONLY_LOG, BIG_MAPS, COUNT, FAILED };
+enum { CLOCK_NS, ERRNO, WRITE_EVERY, SYNC_EVERY, RENAME_EVERY, OPEN_EVERY, ONLY_LOG, BIG_MAPS, COUNT, FAILED, HANG };
 
 #define FILES 4096
 static int64_t nothing[16], *control = nothing;
@@ -142,6 +142,7 @@ ssize_t pwrite64(int fd, const void *data, size_t length, off64_t offset) {
 }
 
 static int synced(int fd, int only_data) {
+    while (tracked(fd) && __atomic_load_n(&control[HANG], __ATOMIC_SEQ_CST)) usleep(10000); /* a disk that is stuck */
     if (tracked(fd) && fails(SYNC_EVERY, is_log[fd])) return -1;
     if (!tracked(fd)) return only_data ? REAL(fdatasync)(fd) : REAL(fsync)(fd);
     pthread_mutex_lock(&lock);

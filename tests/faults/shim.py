@@ -10,7 +10,7 @@ from pathlib import Path
 
 SOURCE = Path(__file__).with_name("shim.c")
 
-WORDS = ("clock_ns", "errno", "write", "sync", "rename", "open", "only", "maps", "count", "failed")
+WORDS = ("clock_ns", "errno", "write", "sync", "rename", "open", "only", "maps", "count", "failed", "hang")
 """The control page's int64 words, as `shim.c` names them."""
 
 ONLY = {"": 0, "log": 1, "store": 2}

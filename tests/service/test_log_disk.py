@@ -196,3 +196,40 @@ def test_a_file_that_is_in_the_way_stays(tmp_path: Path, noticed: Noticed) -> No
         writer.put(record(2))
         assert writer.wait_synced(WAIT_S)
     assert numbers_on(tmp_path) == [1, 2]
+
+
+def test_tries_that_fail_leave_no_files(tmp_path: Path, noticed: Noticed) -> None:
+    """A disk that takes a file's beginning, and never what was to follow: it must not fill with beginnings."""
+    tries: list[Path] = []
+    enough = threading.Event()
+
+    class Small(_File):
+        def write(self, data: Any) -> int:
+            if self.disk.broken and self.tell() + len(data) > 20_000:
+                raise OSError(errno.ENOSPC, "no room")
+            return super().write(data)
+
+    disk = Disk()
+    disk.works = True
+
+    def open_file(path: Path) -> Any:
+        raw = Small(path, "xb")
+        raw.disk = disk
+        tries.append(path)
+        if len(tries) > 5:
+            enough.set()
+        return io.BufferedWriter(raw)
+
+    payload = b"x" * 30_000
+    with LogWriter(tmp_path, metadata(), open_file=open_file) as writer:
+        writer.put(record(1))
+        assert writer.wait_synced(WAIT_S)
+        disk.broken = True
+        writer.put(LogRecord(Kind.ODOMETRY, "robots/rover/odometry", payload, T0, T0 + 2, 2))
+        noticed.wait()
+        assert enough.wait(WAIT_S)
+        assert len(list(tmp_path.glob("*.mcap"))) <= 2, "the first, and the one that is tried now"
+        disk.broken = False
+        assert writer.wait_synced(WAIT_S)
+    assert numbers_on(tmp_path) == [1, 2]
+    assert len(list(tmp_path.glob("*.mcap"))) == 2
