@@ -39,11 +39,11 @@ def checked_integers(value: npt.ArrayLike, shape: tuple[int, ...], name: str) ->
 
 
 def checked_points(points: npt.ArrayLike, name: str) -> npt.NDArray[np.floating]:
-    """(N, 3) real numbers, float32 or float64 as given, others as float64; else ValueError."""
+    """(N, 3) real numbers, float32 or float64 as they lie, others as float64; else ValueError."""
     array = np.asarray(points)
     if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
         raise ValueError(f"{name}: expected numbers of shape (N, 3), got {array.dtype} of shape {array.shape}")
-    if array.dtype not in (np.float32, np.float64) or not array.dtype.isnative or not array.flags.aligned:
+    if array.dtype not in (np.float32, np.float64) or not array.dtype.isnative:
         array = array.astype(np.float64)
     return array
 

@@ -1,0 +1,63 @@
+"""What the first scan would wait for is compiled before the service is ready."""
+
+import threading
+from itertools import product
+
+import numpy as np
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+import roughmap.blocks
+import roughmap.changes
+import roughmap.fused
+import roughmap.index
+import roughmap.integrate
+import roughmap.memory
+import roughmap.place
+from roughmap_schemas import Config, decode_cloud, encode_cloud
+from roughmap_service.apply import integrate
+from roughmap_service.poses import Pose
+from roughmap_service.settings import Settings, new_map
+from roughmap_service.warmup import UNTURNED, warm_up
+
+MODULES = (
+    roughmap.blocks, roughmap.changes, roughmap.fused, roughmap.index, roughmap.integrate, roughmap.memory,
+    roughmap.place,
+)  # fmt: skip
+
+
+def compiled() -> dict[str, int]:
+    """Of each kernel, for how many kinds of arguments there is machine code."""
+    found = {}
+    for module in MODULES:
+        for name, value in vars(module).items():
+            if isinstance(value, Dispatcher):
+                found[f"{module.__name__}.{name}"] = len(value.signatures)
+    return found
+
+
+@pytest.mark.parametrize("model", ["point", "cuboid", "ellipsoid"])
+def test_no_cloud_finds_a_kernel_uncompiled(model: str) -> None:
+    config = Config.model_validate({"map": {"error_model": model}, "sensors": {"lidar": {"range_sigma": 0.02}}})
+    warm_up(config, threading.Event())
+    before = compiled()
+    assert before["roughmap.blocks.scan_blocks"] > 0
+    assert before["roughmap.blocks.point_blocks"] > 0
+    settings = Settings(config)
+    line = [Pose(k * 10**9, (0.0, 0.0, 0.0), UNTURNED, None, 1, 0) for k in (0, 1)]
+    points = np.random.default_rng(0).uniform(-5.0, 5.0, (3000, 3))
+    offsets = np.arange(3000) * 1000
+    layouts = set()
+    with new_map(config) as rough_map:
+        # Longer stamps make longer messages: the points begin at other addresses, aligned for their type or not.
+        for dtype, frame, times, stamp in product(
+            (np.float32, np.float64), ("map", "lidar"), (None, offsets), (0, 1, 1 << 7, 1 << 14)
+        ):
+            payload = encode_cloud(points.astype(dtype), stamp, frame, offsets_ns=times)
+            cloud = decode_cloud(payload, max_message=1 << 20, max_points=1 << 20)
+            layouts.add((dtype, cloud.points.flags.aligned, cloud.points.flags.c_contiguous))
+            with rough_map.freeze():
+                integrate(rough_map, "", cloud, line, settings)
+    assert {aligned for _, aligned, _ in layouts} == {True, False}, "both kinds came by"
+    assert {packed for _, _, packed in layouts} == {True, False}, "and with other fields between"
+    assert compiled() == before
