@@ -52,7 +52,7 @@ def main() -> None:
     print(f"{chosen.folder}: made {', '.join(made) or 'nothing, all are there'}")
 
 
-def make(folder: Path, hosts: list[str], robots: list[str], days: int = 365, *, expired: bool = False) -> list[str]:
+def make(folder: Path, hosts: list[str], robots: list[str], days: float = 365, *, expired: bool = False) -> list[str]:
     """Make what is missing in ``folder``; the names of what was made."""
     now = dt.datetime.now(dt.UTC)
     end = now - DAY / 24 if expired else now + days * DAY

@@ -53,11 +53,12 @@ def zenoh_config(loaded: LoadedConfig) -> zenoh.Config:
 def check_exposure(config: zenoh.Config, loaded: LoadedConfig, *, insecure: bool) -> None:
     """Raise ConfigFault for a session that whoever is on the network can join; ``insecure`` only has it warned of."""
     found = exposures(config)
-    file = loaded.config.zenoh.config_file
     if found and not insecure:
-        where = f"zenoh.config_file {file}: " if file else "zenoh."
+        path, _, text = found[0].partition(":")
+        name, file = f"zenoh.{path.partition('.')[0]}", loaded.config.zenoh.config_file
+        where = f"zenoh.config_file {file}: {path}" if file and not loaded.given(name) else name
         raise ConfigFault(
-            f"{where}{found[0]}; use tls/ with certificates (SECURITY.md), stay on 127.0.0.1 with zenoh.scouting = "
+            f"{where}:{text}; use tls/ with certificates (SECURITY.md), stay on 127.0.0.1 with zenoh.scouting = "
             "false, or allow it by --insecure"
         )
     for text in (*found, *weaknesses(config)):

@@ -2,6 +2,9 @@
 
 import json
 import re
+import runpy
+import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,6 +12,7 @@ from typing import Any
 import pytest
 import zenoh
 from access import (
+    DOCKER,
     PASSWORDS,
     Certificates,
     example,
@@ -66,10 +70,10 @@ def test_certificates_that_get_in_nowhere(router: str, certificates: Certificate
     assert refused(put_settings(role_config(role, router, good), **foreign_key)), "a certificate without its key"
 
 
-def as_service(certificates: Certificates) -> dict[str, Any]:
+def as_service(folder: Path) -> dict[str, Any]:
     return {
-        "transport__link__tls__connect_certificate": str(certificates.good / "service.pem"),
-        "transport__link__tls__connect_private_key": str(certificates.good / "service.key"),
+        "transport__link__tls__connect_certificate": str(folder / "service.pem"),
+        "transport__link__tls__connect_private_key": str(folder / "service.key"),
     }
 
 
@@ -146,7 +150,7 @@ def test_a_robot_that_gossips_is_not_followed_around_the_router(certificates: Ce
         peer: dict[str, Any] = {"mode": "peer", "listen__endpoints": ["tcp/127.0.0.1:0"]}
         rogue_config = put_settings(role_config("rover1", system.endpoint, certificates.good), **peer)
         naive_config = put_settings(
-            role_config("planner", system.endpoint, certificates.good), **peer, **as_service(certificates)
+            role_config("planner", system.endpoint, certificates.good), **peer, **as_service(certificates.good)
         )
         heard: Gathered[str] = Gathered()
         linked: Gathered[bool] = Gathered()
@@ -161,6 +165,27 @@ def test_a_robot_that_gossips_is_not_followed_around_the_router(certificates: Ce
             heard.wait(lambda items: items == ["robots/rover2/odometry"], "the forged pose at a peer that is naive")
             system.fence("rover1")
             assert system.settled().input == before.input
+
+
+def test_a_link_ends_with_its_certificate(router: str, certificates: Certificates, tmp_path: Path) -> None:
+    """And isn't made again: a session that came in while it was valid is out for good."""
+    for name in ("authority.pem", "authority.key"):
+        shutil.copy(certificates.good / name, tmp_path / name)
+    runpy.run_path(str(DOCKER / "certificates.py"))["make"](tmp_path, [], [], days=3 / 86400)
+    token = "maps/site/alive/short"
+    seen: Gathered[zenoh.SampleKind] = Gathered()
+    with (
+        zenoh.open(role_config("planner", router, certificates.good)) as planner,
+        zenoh.open(put_settings(role_config("planner", router, certificates.good), **as_service(tmp_path))) as short,
+    ):
+        planner.liveliness().declare_subscriber(token, lambda sample: seen(sample.kind), history=True)
+        short.liveliness().declare_token(token)
+        seen.wait(lambda kinds: kinds[:2] == [zenoh.SampleKind.PUT, zenoh.SampleKind.DELETE], "the link to end")
+        # Certificates count in whole seconds: for the rest of its last one it may still get in.
+        until = time.monotonic() + WAIT_S
+        while not refused(put_settings(role_config("planner", router, certificates.good), **as_service(tmp_path))):
+            assert time.monotonic() < until
+        seen.wait(lambda kinds: kinds[-1] == zenoh.SampleKind.DELETE, "the end of what came back in that second")
 
 
 def test_commands_with_a_zenoh_file(
