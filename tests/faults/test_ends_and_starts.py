@@ -74,7 +74,7 @@ def test_a_signal_on_the_way_up_is_heard(tmp_path: Path) -> None:
     """While it folds a log it ends at once, with nothing begun; the next start has all."""
     rng = random.Random(1)
     with Run(tmp_path / "log", config(log={"directory": str(tmp_path / "log")})) as run:
-        for k in range(800):
+        for k in range(400):
             run.scan(0.2 * k, rng.random())
         run.checkpoint()
         sequence = run.state.map.sequence

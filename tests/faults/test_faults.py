@@ -11,18 +11,18 @@ from report import Trial
 from run import TRIALS
 
 SHORT = {
-    "kills": 2,
+    "kills": 1,
     "start": 1,
     "shutdown": 1,
-    "power": 12,
+    "power": 8,
     "cuts": 150,
     "logflips": 40,
     "storeflips": 40,
     "stores": 30,
-    "disk": 2,
+    "disk": 1,
     "realdisk": 1,
     "clock": 2,
-    "links": 3,
+    "links": 2,
     "messages": 20,
 }
 
