@@ -6,7 +6,7 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check audit bench bench-peers faults schemas lock clean
+.PHONY: help setup demo test check audit bench bench-peers faults fuzz schemas lock clean
 
 help:  ## this list
 	@echo "make TARGET, where TARGET is:"
@@ -48,6 +48,10 @@ bench-peers: $(READY)  ## nanoseconds a point beside what pip can bring, in an e
 
 faults: $(READY)  ## kills, power cuts, full disks, damage, bad links: what a service must survive; about 10 minutes
 	$(BIN)/python tests/faults/run.py $(ARGS)
+
+fuzz: $(READY)  ## any bytes to every reader of bytes, guided by coverage; ARGS="--seconds 600", findings in fuzz/
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r tests/fuzz/requirements.txt || true
+	$(BIN)/python tests/fuzz/run.py $(ARGS)
 
 schemas: $(READY)  ## schemas/json anew from the models
 	$(BIN)/python -m roughmap_schemas.export

@@ -34,6 +34,10 @@ NANOSECONDS = 1_000_000_000
 LAST_STAMP_NS = 2**32 * NANOSECONDS
 
 
+MAX_UNPACKED = 16 << 30
+"""Bytes of an archive's arrays: half a billion points with their covariances; they are in memory all at once."""
+
+
 class CloudFileFault(Exception):
     """A file does not hold a cloud that can be read; one line that names file, what was expected and what was found."""
 
@@ -76,6 +80,13 @@ def read_scans(file: Path) -> Iterator[RecordedScan]:
     return _scans(file, arrays)
 
 
+def _check_size(file: Path, archive: zipfile.ZipFile) -> None:
+    """Zeros pack to a thousandth: what an archive says that it unpacks to is looked at before it is."""
+    size = sum(entry.file_size for entry in archive.infolist())
+    if size > MAX_UNPACKED:
+        raise CloudFileFault(f"{file}: expected at most {MAX_UNPACKED} bytes of arrays, found {size}; split it")
+
+
 def _load(file: Path) -> Arrays:
     try:
         # Opened here: np.load leaves the file open where it finds the archive torn.
@@ -83,9 +94,13 @@ def _load(file: Path) -> Arrays:
             archive = np.load(stream, allow_pickle=False)
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise CloudFileFault(f"{file}: expected an NPZ archive, found a single array")
+            assert archive.zip is not None  # noqa: S101 - it is open
+            _check_size(file, archive.zip)
             arrays: Arrays = {name: archive[name] for name in archive.files}
-    except (ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
-        raise CloudFileFault(f"{file}: not a readable NPZ file ({error})") from error
+    except (CloudFileFault, OSError):
+        raise
+    except Exception as error:  # zipfile and numpy raise nearly any kind over bytes that are no archive
+        raise CloudFileFault(f"{file}: not a readable NPZ file ({str(error) or type(error).__name__})") from error
     points = arrays.get("points")
     if points is None or points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "iuf":
         found = "none" if points is None else f"{points.dtype} {points.shape}"

@@ -8,23 +8,28 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import IO, cast
 
 import zstandard
 from mcap.exceptions import EndOfFile, McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader
 
 from roughmap_schemas import Config, ContractError, Event, Keys, MessageFault, RunMetadata, decode_event
 from roughmap_schemas.run_metadata import RECORD_NAME
 
+from .log_chunks import BoundedFile, records_in
 from .log_file import INPUTS, Kind
 
 MAGIC = bytes([137, 77, 67, 65, 80, 48, 13, 10])
 """With which an MCAP file begins, and ends if it was closed."""
 
 MAX_RECORD_BYTES = 1 << 30
-"""No record and no unpacked chunk is larger; a damaged length must not become an allocation."""
+"""No record is larger; a damaged length must not become an allocation."""
+
+LEAST_UNPACKED = 65 << 20
+"""Bytes that a chunk may unpack to in any case: the default of input.max_message, and what lies beside it."""
 
 _DAMAGE = (McapError, struct.error, ValueError, zlib.error, zstandard.ZstdError, RuntimeError, KeyError)
 """What the reader's libraries raise over bytes that are not what they should be."""
@@ -97,18 +102,20 @@ def raw_records(path: Path) -> Iterator[tuple[McapRecord, int]]:
     """
     with path.open("rb") as stream:
         try:
-            reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+            source = cast("IO[bytes]", BoundedFile(stream))  # of which the reader uses `read` alone
+            reader = StreamReader(source, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+            most = LEAST_UNPACKED
             for record in reader.records:
                 end = stream.tell()
                 if isinstance(record, DataEnd):
                     return
-                if not isinstance(record, Chunk):
-                    yield record, end
-                elif record.uncompressed_size > MAX_RECORD_BYTES:
-                    raise DamagedLog(path, f"a chunk of {record.uncompressed_size} bytes (at most {MAX_RECORD_BYTES})")
-                else:
-                    for inner in breakup_chunk(record, validate_crc=True):
+                if isinstance(record, Chunk):
+                    for inner in records_in(record, most):
                         yield inner, end
+                else:
+                    if isinstance(record, Metadata) and record.name == RECORD_NAME:
+                        most = _most_unpacked(record)
+                    yield record, end
         except EndOfFile:
             raise _end_of(path) from None
         except _DAMAGE as error:
@@ -116,6 +123,15 @@ def raw_records(path: Path) -> Iterator[tuple[McapRecord, int]]:
                 # The library tells an end at a field's beginning from damage, but not one in the midst of a field.
                 raise _end_of(path) from None
             raise DamagedLog(path, f"damaged at or before byte {stream.tell()}: {_told(error)}") from None
+
+
+def _most_unpacked(record: Metadata) -> int:
+    """Bytes that a chunk of a file that begins with this record may unpack to: one message, and what is small."""
+    try:
+        message = int(RunMetadata.from_record(record.metadata).configuration["input"]["max_message"])
+    except (ContractError, KeyError, TypeError, ValueError):
+        return LEAST_UNPACKED  # whoever needs the record finds that out by himself
+    return min(max(LEAST_UNPACKED, message + (1 << 20)), MAX_RECORD_BYTES)
 
 
 def _end_of(path: Path) -> LogError:

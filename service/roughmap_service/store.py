@@ -99,16 +99,17 @@ class Store:
             rows = db.execute("SELECT name, value FROM cut").fetchall()
         if not rows:
             return None
-        texts = dict(rows)
+        if not all(isinstance(text, str) for row in rows for text in row):
+            raise DamagedStore(f"{self.path}: damaged (its cut); move it away to build it anew from the log")
+        texts: dict[str, str] = dict(rows)
         version, checksum = texts.get("state_version"), texts.pop("checksum", "")
         if version != str(STATE_VERSION):
             raise OtherStateVersion(f"{self.path}: a store of state version {version}, not {STATE_VERSION}")
         if checksum != _checksum(texts):
             raise DamagedStore(f"{self.path}: damaged (its cut); move it away to build it anew from the log")
-        values = {name: json.loads(value) for name, value in texts.items()}
         try:
-            return Cut(**values)
-        except TypeError as error:
+            return Cut(**{name: json.loads(value) for name, value in texts.items()})
+        except (TypeError, ValueError, RecursionError) as error:
             raise StoreError(f"{self.path}: a store of another version ({error}); start with --fresh") from None
 
     def read_tiles(self) -> Iterator[StoredTile]:
@@ -212,7 +213,7 @@ class Store:
         try:
             with closing(self.open_reading()) as db:
                 yield db
-        except sqlite3.Error as error:
+        except READ_ERRORS as error:
             raise read_error(self.path, error) from None
 
     def open_reading(self, *, check_same_thread: bool = True) -> sqlite3.Connection:
@@ -221,11 +222,16 @@ class Store:
         return sqlite3.connect(uri, uri=True, timeout=5.0, check_same_thread=check_same_thread)
 
 
-def read_error(path: Path, error: sqlite3.Error) -> StoreError:
-    """What SQLite's error over a store is: that it is damaged, or that it can't be read, or is none."""
+READ_ERRORS = (sqlite3.Error, UnicodeDecodeError, MemoryError)
+"""What SQLite raises over a store: the second where its message quotes damaged bytes, the third also for a length that
+is damaged."""
+
+
+def read_error(path: Path, error: Exception) -> StoreError:
+    """What an error of `READ_ERRORS` is: that the store is damaged, or that it can't be read, or is none."""
     # "malformed" has no class of its own; what is no database at all is not ours to put away.
     kind = DamagedStore if type(error) is sqlite3.DatabaseError and "malformed" in str(error) else StoreError
-    return kind(f"{path}: {error}; it is no map.db, or damaged")
+    return kind(f"{path}: {str(error) or 'no memory to read it'}; it is no map.db, or damaged")
 
 
 def _checksum(texts: Mapping[str, str]) -> str:

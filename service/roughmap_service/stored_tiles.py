@@ -11,7 +11,7 @@ from roughmap import RoughMap
 from roughmap.arrays import I4, I8, U1, Records
 from roughmap.shelf import copy_known_rows
 
-from .store import Cut, DamagedStore, Store, read_error
+from .store import READ_ERRORS, Cut, DamagedStore, Store, read_error
 
 CHUNK = 1 << 14
 """Rows that are in memory as Python's objects at a time."""
@@ -72,7 +72,7 @@ class StoredTiles:
                 if self._db is None:
                     self._db = self.store.open_reading(check_same_thread=False)
                 row = self._db.execute("SELECT records FROM tiles WHERE tx = ? AND ty = ?", (tx, ty)).fetchone()
-        except sqlite3.Error as error:
+        except READ_ERRORS as error:
             raise read_error(self.store.path, error) from None
         blob = None if row is None else row[0]
         copy_known_rows(self.store.unpacked(tx, ty, index.digest[number].tobytes(), blob), records)
