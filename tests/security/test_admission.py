@@ -171,14 +171,15 @@ def test_a_link_ends_with_its_certificate(router: str, certificates: Certificate
     """And isn't made again: a session that came in while it was valid is out for good."""
     for name in ("authority.pem", "authority.key"):
         shutil.copy(certificates.good / name, tmp_path / name)
-    runpy.run_path(str(DOCKER / "certificates.py"))["make"](tmp_path, [], [], days=3 / 86400)
+    runpy.run_path(str(DOCKER / "certificates.py"))["make"](tmp_path, [], [], days=5 / 86400)
     token = "maps/site/alive/short"
     seen: Gathered[zenoh.SampleKind] = Gathered()
     with (
         zenoh.open(role_config("planner", router, certificates.good)) as planner,
         zenoh.open(put_settings(role_config("planner", router, certificates.good), **as_service(tmp_path))) as short,
     ):
-        planner.liveliness().declare_subscriber(token, lambda sample: seen(sample.kind), history=True)
+        planner.liveliness().declare_subscriber(token, lambda sample: seen(sample.kind))
+        assert not list(planner.liveliness().get(token, timeout=WAIT_S))  # the router's answer: it has the subscriber
         short.liveliness().declare_token(token)
         seen.wait(lambda kinds: kinds[:2] == [zenoh.SampleKind.PUT, zenoh.SampleKind.DELETE], "the link to end")
         # Certificates count in whole seconds: for the rest of its last one it may still get in.
