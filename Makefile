@@ -26,8 +26,8 @@ $(READY): requirements.lock pyproject.toml
 demo: $(READY)  ## the whole job in about a minute: service, rover, planner, replay, pictures in demo/
 	$(BIN)/roughmap demo $(ARGS)
 
-test: $(READY)  ## all tests
-	$(BIN)/python -m pytest $(ARGS)
+test: $(READY)  ## all tests, on two cores
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
 
 check: $(READY)  ## style, types, the direction of imports, the exported schemas
 	$(BIN)/ruff check .
