@@ -19,7 +19,7 @@ from roughmap_service.cli.main import cli, run
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "ARCHITECTURE.md")
+PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "ARCHITECTURE.md", "RELIABILITY.md", "SECURITY.md")
 PRINTED_ENDPOINT = "tcp/127.0.0.1:7447"
 
 
@@ -125,9 +125,9 @@ def test_options_named_beside_a_command_are_its_own() -> None:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_make_targets_named_are_targets(page: str) -> None:
-    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     text = (ROOT / page).read_text(encoding="utf-8")
-    named = set(re.findall(r"`make ([a-z]+)`|^    make ([a-z]+)", text, re.MULTILINE))
+    named = set(re.findall(r"`make ([a-z-]+)[` ]|^    make ([a-z-]+)", text, re.MULTILINE))
     assert {name for pair in named for name in pair if name} <= targets
 
 
@@ -145,10 +145,20 @@ def test_the_picture_is_one_and_small() -> None:
     assert len(picture) < 300_000
 
 
+def test_each_promise_names_tests_that_are_there() -> None:
+    (promises,) = re.findall(r"^## What it promises\n(.*?)^## ", README, re.MULTILINE | re.DOTALL)
+    for promise in promises.split("\n- ")[1:]:
+        named = re.findall(r"`(tests/[\w/]+\.py)`", promise)
+        assert named, promise
+        assert all((ROOT / name).is_file() for name in named), named
+
+
 @pytest.mark.parametrize("page", ["ARCHITECTURE.md"])
 def test_modules_named_are_there(page: str) -> None:
     text = (ROOT / page).read_text(encoding="utf-8")
-    there = {path.name for folder in ("roughmap", "schemas", "service") for path in (ROOT / folder).rglob("*.py")}
+    there = {
+        path.name for folder in ("roughmap", "schemas", "service", "tests") for path in (ROOT / folder).rglob("*.py")
+    }
     named = {Path(name).name for name in re.findall(r"`([\w/]+\.py)`", text)}
     assert named
     assert named <= there
