@@ -376,6 +376,7 @@ def test_the_file_is_emptied_at_the_start_and_removed_at_the_end(tmp_path: Path)
         Spill(path, 10 * SLOT_BYTES)
     assert not path.exists()
     path.write_bytes(b"left over" * 100)
+    path.chmod(0o644)
     with Spill(path, 10 * SLOT_BYTES):
         assert path.stat().st_size == 0
         assert path.stat().st_mode & 0o777 == 0o644, "as it was made"
