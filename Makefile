@@ -6,11 +6,11 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check audit bench bench-peers faults fuzz schemas lock clean
+.PHONY: help setup demo test check audit bench bench-peers faults fuzz schemas lock image container-test clean
 
 help:  ## this list
 	@echo "make TARGET, where TARGET is:"
-	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-12s %s\n", $$1, $$2}'
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-14s %s\n", $$1, $$2}'
 
 setup: $(READY)  ## the Python environment, with the locked versions
 
@@ -61,6 +61,14 @@ lock:  ## requirements.lock anew from pyproject.toml
 	test -x $(UV) || $(BIN)/python -m pip install --quiet uv
 	printf 'hatchling>=1.27\neditables>=0.5\n' | $(UV) pip compile pyproject.toml - --universal --python-version 3.11 --extra dev --extra plot \
 	  --no-strip-extras --generate-hashes --no-emit-index-url --quiet --custom-compile-command 'make lock' --output-file requirements.lock
+	printf 'hatchling>=1.27\n' | $(UV) pip compile pyproject.toml - --universal --python-version 3.11 --constraint requirements.lock \
+	  --no-strip-extras --generate-hashes --no-emit-index-url --quiet --custom-compile-command 'make lock' --output-file docker/requirements.lock
+
+image:  ## the container image localhost/roughmap, by docker or podman (a machine that has neither: tests/containers/setup)
+	docker/build $(ARGS)
+
+container-test: $(READY) image  ## router, service and rover in containers: killed, paused, cut off, on a full volume; replayed
+	$(BIN)/python tests/containers/run.py
 
 clean:  ## what was built or made by running; not .venv, not logs of yours
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache .coverage

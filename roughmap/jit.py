@@ -3,12 +3,13 @@
 import hashlib
 import inspect
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, InTreeCacheLocator
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -22,6 +23,38 @@ def _stamp(folder: Path) -> str:
     return digest.hexdigest()
 
 
+class _BesideTheSource(InTreeCacheLocator):
+    """The folder beside the sources, writable or not: the last resort."""
+
+    def ensure_cache_path(self) -> None:
+        """Take it as it is."""
+
+
+class _Locating(CompileResultCacheImpl):
+    _locator_classes = [*CompileResultCacheImpl._locator_classes, _BesideTheSource]  # noqa: RUF012 - numba's own form
+
+
+class _KernelFiles(IndexDataCacheFile):
+    """Compiled kernels of one function: those beside the source, then those in the folder that can be written.
+
+    An image brings its kernels beside the sources, where its user can't write. On another CPU than they were made for,
+    others are compiled, and kept in NUMBA_CACHE_DIR if there is one; else they last as long as the process.
+    """
+
+    def __init__(self, folder: str, beside: str, name: str, stamp: str) -> None:
+        super().__init__(cache_path=folder, filename_base=name, source_stamp=stamp)  # type: ignore[no-untyped-call]
+        self._shipped = IndexDataCacheFile(cache_path=beside, filename_base=name, source_stamp=stamp)  # type: ignore[no-untyped-call]
+
+    def load(self, key: object) -> Any:
+        """The kernel's data, or None."""
+        return self._shipped.load(key) or super().load(key)  # type: ignore[no-untyped-call]
+
+    def save(self, key: object, data: object) -> None:
+        """Keep a kernel where that is possible; it works without, too."""
+        with suppress(OSError):
+            super().save(key, data)  # type: ignore[no-untyped-call]
+
+
 class _PackageCache(FunctionCache):
     """Compiled kernels on disk, good while no source has changed of which they may be made.
 
@@ -29,12 +62,16 @@ class _PackageCache(FunctionCache):
     that changed only such a file, the old kernels would go on beside the new ones.
     """
 
+    _impl_class = _Locating
+
     def __init__(self, function: Callable[..., object]) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
-        self._cache_file = IndexDataCacheFile(  # type: ignore[no-untyped-call]
-            cache_path=self._cache_path,
-            filename_base=self._impl.filename_base,
-            source_stamp=_stamp(Path(inspect.getfile(function)).resolve().parent),
+        source = Path(inspect.getfile(function)).resolve()
+        self._cache_file = _KernelFiles(
+            folder=self._cache_path,
+            beside=str(source.parent / "__pycache__"),
+            name=self._impl.filename_base,
+            stamp=_stamp(source.parent),
         )
 
 

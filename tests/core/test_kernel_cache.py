@@ -17,14 +17,14 @@ print(angles[0], sum(_half_angles.stats.cache_hits.values()))
 """
 
 
-def run(folder: Path) -> tuple[float, bool]:
+def run(folder: Path, **more: str) -> tuple[float, bool]:
     """The angle of half a turn by the package in ``folder``, and whether the kernel came from disk."""
     # The current folder stands before all others in the search for modules.
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM],
         cwd=folder,
-        env=environment,
+        env={**environment, **more},
         capture_output=True,
         text=True,
         timeout=100,
@@ -49,3 +49,19 @@ def test_a_change_in_a_helper_of_another_file_counts(tmp_path: Path) -> None:
     helper.write_text(changed)
     angle, kept = run(tmp_path)
     assert (round(angle, 12), kept) == (4.712388980385, False)  # three times as much
+
+
+def test_kernels_beside_the_source_serve_another_folder(tmp_path: Path) -> None:
+    """As in an image: its kernels are read where they came, and what they don't serve is kept where can be written."""
+    package = Path(roughmap.__file__).parent
+    shutil.copytree(package, tmp_path / "roughmap", ignore=shutil.ignore_patterns("__pycache__"))
+    own = tmp_path / "own"
+    angle, _ = run(tmp_path)
+    beside = sorted((tmp_path / "roughmap" / "__pycache__").glob("*.nb?"))
+    assert run(tmp_path, NUMBA_CACHE_DIR=str(own)) == (angle, True)
+    assert not list(own.rglob("*.nb?"))
+    other = {"NUMBA_CACHE_DIR": str(own), "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+    assert run(tmp_path, **other) == (angle, False)
+    assert list(own.rglob("*.nbc"))
+    assert run(tmp_path, **other) == (angle, True)
+    assert sorted((tmp_path / "roughmap" / "__pycache__").glob("*.nb?")) == beside
