@@ -11,12 +11,12 @@ from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
 
 from roughmap.arrays import F8, I8, Flags
 from roughmap.batch_shares import Pairs, cells_of_bodies, cells_of_points
 from roughmap.cell import STAMP_LIMIT_NS, PointReason
 from roughmap.layers import LAYERS, LIMIT_NAMES, SINGLE_POINT, check_limits, check_tolerance
+from roughmap.normal import erf
 from roughmap.scan import checked_points
 
 T = TypeVar("T", bound=np.generic)
@@ -148,8 +148,7 @@ class BatchMap(Mapping[str, F8]):
         """Eq. 11 with n, the expected number of points."""
         with np.errstate(divide="ignore"):
             x = self._tolerance * np.sqrt(self._expected_count) / (2.0 * self._std_dev)
-        level: F8 = 2.0 * ndtr(x) - 1.0
-        return level
+        return erf(x / np.sqrt(2.0))
 
     def _age(self) -> F8:
         return float(self._updated.max(initial=0)) - self._updated.astype(np.float64)

@@ -5,9 +5,9 @@ from functools import cached_property
 from math import inf, isfinite
 
 import numpy as np
-from scipy.special import erf
 
 from roughmap.arrays import F8, Flags, Records
+from roughmap.normal import erf
 
 CELL_LAYERS = (
     "mean_height",
@@ -107,8 +107,7 @@ class _Cells:
         """Eq. 11: 2F(x) - 1 = erf(x / sqrt 2) with x = d sqrt(n) / (2 std_dev); erf(inf) = 1 where std_dev is 0."""
         with np.errstate(divide="ignore", over="ignore"):
             half_widths = self.height_tolerance * np.sqrt(self.expected_count) / (2.0 * self.std_dev)
-        level: F8 = erf(half_widths / np.sqrt(2.0))
-        return level
+        return erf(half_widths / np.sqrt(2.0))
 
     def confidence_factor(self) -> F8:
         """Eq. 15, 16: 1 / inv_cf."""

@@ -12,10 +12,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from roughmap_schemas.cloud import encode_cloud
 from roughmap_schemas.odometry import encode_odometry
+from roughmap_service.poses import multiply
+from roughmap_service.rotations import of_matrix, of_vector
 from roughmap_service.rover_ground import PATH_HALF_LENGTH, PATH_HALF_WIDTH, Ground, path
 from roughmap_service.rover_scanner import NANOSECONDS, Scanner
 
@@ -126,10 +127,8 @@ class Rover:
             stamp = self.start_ns + k * step
             true = self.pose(np.array([stamp]))
             # True pose = (Exp(dtheta) R, t + dt) about the map's axes: what is said is the true pose less the error.
-            said = Rotation.from_rotvec(-error[3:]) * Rotation.from_matrix(true.rotation[0])
-            payload = encode_odometry(
-                stamp, MAP_FRAME, true.position[0] - error[:3], said.as_quat(), covariance, BODY_FRAME
-            )
+            said = multiply(of_vector(-error[3:]), of_matrix(true.rotation[0]))
+            payload = encode_odometry(stamp, MAP_FRAME, true.position[0] - error[:3], said, covariance, BODY_FRAME)
             yield Message(stamp, "odometry", payload, self.name, stamp)
             error = keep * error + np.sqrt(1 - keep**2) * rng.normal(0, sigma)
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from roughmap_schemas.cloud import encode_cloud
 from roughmap_schemas.odometry import encode_odometry
 from roughmap_service.clouds_in import RecordedScan, read_scans
+from roughmap_service.rotations import of_matrix
 from roughmap_service.rover import BODY_FRAME, MAP_FRAME, SENSOR_FRAME, Message
 
 
@@ -39,5 +39,4 @@ def _pose(scan: RecordedScan, robot: str) -> Message:
 
 def rotation_of(pose: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """The unit quaternion x, y, z, w of a (4, 4) pose, whose rotation may be rounded."""
-    rotation: npt.NDArray[np.float64] = Rotation.from_matrix(pose[:3, :3]).as_quat()
-    return rotation
+    return np.array(of_matrix(pose[:3, :3]))

@@ -28,13 +28,13 @@ def warm_up(config: Config, stop: threading.Event) -> None:
     sensors = [("", frame) for frame in config.sensors]
     sensors += [(robot, frame) for robot, own in config.robots.items() for frame in own.sensors]
     line = [Pose(k * 10**9, (0.0, 0.0, 0.0), UNTURNED, None, 1, 0) for k in (0, 1)]
-    points = np.array([[3.0, 0.0, -0.3], [0.0, 3.0, -0.5], [-3.0, 1.0, -0.4]])
+    points = np.tile([[3.0, 0.0, -0.3], [0.0, 3.0, -0.5], [-3.0, 1.0, -0.4]], (1400, 1))  # work for two threads
     rehash(np.empty(2, np.int32), np.zeros(1, np.uint64), 0)  # an index of tiles that grows
     with new_map(config) as rough_map:
         for robot, frame in [("", settings.frame_id), *sensors[:1]]:
             if stop.is_set():
                 return
-            payload = encode_cloud(points, 0, frame, offsets_ns=np.array([0, 10**6, 10**7]))
+            payload = encode_cloud(points, 0, frame, offsets_ns=np.arange(len(points)) * 1000)
             cloud = decode_cloud(payload, max_message=LIMIT, max_points=LIMIT)
             # While part of the map is frozen for a reader, what is written to is copied: that has its kernel too.
             with rough_map.freeze():

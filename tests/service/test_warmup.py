@@ -45,8 +45,8 @@ def test_no_cloud_finds_a_kernel_uncompiled(model: str) -> None:
     assert before["roughmap.blocks.point_blocks"] > 0
     settings = Settings(config)
     line = [Pose(k * 10**9, (0.0, 0.0, 0.0), UNTURNED, None, 1, 0) for k in (0, 1)]
-    points = np.random.default_rng(0).uniform(-5.0, 5.0, (3000, 3))
-    offsets = np.arange(3000) * 1000
+    points = np.random.default_rng(0).uniform(-5.0, 5.0, (5000, 3))
+    offsets = np.arange(5000) * 1000
     layouts = set()
     with new_map(config) as rough_map:
         # Longer stamps make longer messages: the points begin at other addresses, aligned for their type or not.
