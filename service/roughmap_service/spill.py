@@ -54,6 +54,7 @@ class Spill(Shelf):
         self._most = limit // SLOT_BYTES
         self._pwritev = write
         self._stored: StoredTiles | None = None
+        self._number = np.zeros(0, np.int32)  # of a place: which of the stored tiles it is
         self._slice = np.zeros(0, np.int32)
         self._rows = np.zeros(0, np.uint64)
         self._check = np.zeros(0, np.uint64)
@@ -93,6 +94,8 @@ class Spill(Shelf):
         self._stored = stored
         places = super().allocate(len(stored.index.tx))
         self._slice[places] = STORED
+        self._number = np.zeros(len(self.pins), np.int32)
+        self._number[places] = np.arange(len(places))
         return places
 
     def _vacated(self, place: int) -> None:
@@ -119,7 +122,7 @@ class Spill(Shelf):
         try:
             if self._slice[place] == STORED:
                 assert self._stored is not None  # noqa: S101 - that is where the place comes from
-                self._stored.read(place, records)
+                self._stored.read(int(self._number[place]), records)
             else:
                 self._read_file(place, records)
         except (SpillError, StoreError) as error:

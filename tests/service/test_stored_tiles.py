@@ -21,7 +21,7 @@ from roughmap_service.replay import replay
 from roughmap_service.snapshots import cut_of
 from roughmap_service.spill import Spill
 from roughmap_service.store import Store, StoreError
-from roughmap_service.stored_tiles import StoredTiles
+from roughmap_service.stored_tiles import StoredTiles, set_index
 
 ALL = (-25.0, -25.0, 25.0, 25.0)
 
@@ -234,3 +234,29 @@ def test_where_the_log_ends_before_the_store_nothing_of_the_store_is_kept(
     assert lazy.map.digest() == replay([left]).state.map.digest() != run.state.map.digest()
     assert lazy.map.resident_tiles == lazy.map.tile_count
     assert lazy.spill.used == 0
+
+
+@pytest.mark.parametrize("number", [1025, 1600, 2048])
+def test_many_stored_tiles_each_keep_their_own_cells(number: int, store: Store, tmp_path: Path) -> None:
+    """More than the tables have at first: their places then come in another order than the tiles of the index."""
+    side = 48
+    n = np.arange(number)
+    points = np.column_stack([(n % side) * 6.4 + 0.05, (n // side) * 6.4 + 0.05, n * 0.01])
+    whole = RoughMap(error_model="point", threads=1)
+    whole.add(points)
+    store.write_map(whole, {}, "digest", "a" * 32)
+    cut = store.read_cut()
+    assert cut is not None
+    with Spill(tmp_path / "tiles", 10 * SLOT_BYTES) as spill:
+        failed = StoredTiles(store)
+        spill.release(spill.adopt(failed))  # the places of a start that failed come back in yet another order
+        stored = StoredTiles(store)
+        lazy = RoughMap(error_model="point", threads=1, shelf=spill)
+        set_index(lazy, cut, stored, spill.adopt(stored))
+        with whole.freeze() as true, lazy.freeze() as found:
+            assert found.tiles.tolist() == true.tiles.tolist()
+            for x, y in true.tiles.tolist():
+                assert found.records(x, y).tobytes() == true.records(x, y).tobytes(), (x, y)
+        for m in whole, lazy:
+            m.add(points[::7])
+        assert lazy.digest() == whole.digest()
