@@ -31,6 +31,9 @@ TIMES: Final[dict[int, np.dtype[Any]]] = {UINT32: np.dtype("<u4"), **COORDINATES
 BAD_OFFSET: Final = -1
 """Stands for a point's time that can't be: negative, beyond 1 s, or no number. The map counts such points as `time`."""
 
+OBJECT_BYTES: Final = 1024
+"""What a cloud without points takes."""
+
 IDENTITY: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
@@ -47,6 +50,15 @@ class Cloud:
     stamp_ns: int
     points: NDArray[np.floating[Any]]
     offsets_ns: NDArray[np.int64] | None
+
+    @property
+    def held_bytes(self) -> int:
+        """Bytes of memory that it keeps: its payload, if the points are a view of it, else theirs; its times."""
+        array = self.points
+        while isinstance(array.base, np.ndarray):
+            array = array.base
+        points = len(array.base) if isinstance(array.base, bytes) else array.nbytes
+        return OBJECT_BYTES + points + (0 if self.offsets_ns is None else self.offsets_ns.nbytes)
 
 
 def decode_cloud(payload: bytes, *, max_message: int, max_points: int, map_frame: str | None = None) -> Cloud:

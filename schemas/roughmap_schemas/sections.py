@@ -35,6 +35,9 @@ from roughmap_schemas.values import (
 MAX_FOOTPRINT_CELLS: Final = 512
 """Cells across the largest footprint that the core takes, so that one point never writes without bound."""
 
+MAX_MESSAGE_BYTES: Final = 1 << 29
+"""No message is larger, whatever is set: a log's reader takes none of twice that."""
+
 
 class Section(BaseModel):
     """The base of all sections."""
@@ -152,6 +155,23 @@ class InputConfig(Section):
     duplicates: NotNegativeWhole = 10_000
     robots: Annotated[list[Name], Once] = []
     """Who may send; empty: any."""
+    max_robots: AtLeastOne = 256
+    """Robots that are heard where ``robots`` names none: each costs a buffer of poses."""
+    max_poses: Annotated[int, Field(ge=2), NUMBER] = 20_000
+    """Poses kept a robot, whatever ``pose_history``: 10 s at 2 kHz."""
+    max_transforms: AtLeastOne = 1_000
+    """Transforms kept a robot: one a frame is needed, the rest serve odometry that arrives late."""
+    pose_queue: AtLeastOne = 10_000
+    """Poses and transforms of all robots that wait to be taken up: seconds, and a few MB; beyond it ``busy``."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> "InputConfig":
+        if self.max_message > min(self.queue_limit, MAX_MESSAGE_BYTES):
+            raise ValueError(
+                f"input.max_message: must be at most input.queue_limit ({self.queue_limit}), or a cloud of that size "
+                f"is busy for ever, and at most {MAX_MESSAGE_BYTES}; found {self.max_message}"
+            )
+        return self
 
 
 class SensorConfig(Section):
@@ -282,6 +302,8 @@ class ServiceConfig(Section):
     """Threads that integrate; 0: as many as numba takes."""
     alive_wait: NotNegative = 15.0
     """How long another instance's token is waited for; a dead one's lives until its lease ends."""
+    control_timeout: Positive = 30.0
+    """How long an operator's request (snapshot, reset) may take."""
     log_format: Literal["auto", "json", "text"] = "auto"
     """Of the lines on stderr; "auto" is text on a terminal and JSON elsewhere."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"

@@ -56,14 +56,15 @@ class Inbox:
         return sum(len(queue) for queue in list(self.queues.values()))  # a copy: the status asks from its own thread
 
     def has_room(self, size: int) -> bool:
-        """Whether a cloud of ``size`` bytes fits without ending another."""
-        return self.size + size <= self.settings.queue_limit
+        """Whether a cloud of ``size`` bytes fits without ending another; one alone does, which may hold more than its
+        message has."""
+        return not self.size or self.size + size <= self.settings.queue_limit
 
     def feed(self, cloud: WaitingCloud) -> None:
         """A cloud was logged. Past the limit the oldest published cloud of the robot that holds most ends."""
         self.queues.setdefault(cloud.robot, deque()).append(cloud)
         self.size += cloud.size
-        while self.size > self.settings.queue_limit:
+        while self.size > self.settings.queue_limit and self.size > cloud.size:
             victim = self._victim()
             if victim is None:
                 return

@@ -23,8 +23,8 @@ log = logging.getLogger(__name__)
 LEAST_COST = 256
 """Bytes that a queued cloud counts for at least: an empty one costs memory too."""
 
-MAX_POSES_QUEUED = 10_000
-"""Poses and transforms between Zenoh and the sequencer: seconds of many robots, and a few MB."""
+MAX_NUMBERED = 10_000
+"""Streams (a robot's messages of a kind) whose gaps are counted."""
 
 
 @dataclass(slots=True)
@@ -57,6 +57,7 @@ class Intake:
 
     limit: int
     counters: Counters
+    pose_limit: int = 10_000
     _items: deque[InputMessage] = field(default_factory=deque)
     _commands: deque[Command] = field(default_factory=deque)
     _held: Counter[str] = field(default_factory=Counter)
@@ -109,7 +110,7 @@ class Intake:
         if self.closed:
             return [message]
         if message.kind is not Kind.POINTS:
-            if self._poses >= MAX_POSES_QUEUED:
+            if self._poses >= self.pose_limit:
                 return [message]
             self._poses += 1
             self._items.append(message)
@@ -229,7 +230,7 @@ class ZenohInputs:
             self._counters.gap(robot, missing)
             text = f"robot {robot}: {missing} {kind.value} messages are missing before number {number}"
             note(log, logging.WARNING, "gap", text, robot=robot, kind=kind.value, missing=missing)
-        if last is not None or len(self._sequences) < MAX_POSES_QUEUED:
+        if last is not None or len(self._sequences) < MAX_NUMBERED:
             self._sequences[robot, kind] = number
 
 

@@ -30,9 +30,11 @@ class BoundedFile:
         self._stream = stream
         self._left = os.fstat(stream.fileno()).st_size - stream.tell()
 
-    def read(self, size: int = -1) -> bytes:
-        """At most ``size`` bytes."""
-        data = self._stream.read(min(size, self._left) if size >= 0 else self._left)
+    def read(self, size: int) -> bytes:
+        """At most ``size`` bytes; ValueError below 0, where a file would give all that it has."""
+        if size < 0:
+            raise ValueError("a record shorter than what it must hold")
+        data = self._stream.read(min(size, self._left))
         self._left -= len(data)
         return data
 
@@ -49,9 +51,10 @@ def records_in(chunk: Chunk, most: int) -> Iterator[McapRecord]:
     at = number = 0
     while at < size:
         number += 1
-        if number > MAX_RECORDS or at + RECORD_HEAD.size > size:
-            raise ValueError(f"a chunk of more than {MAX_RECORDS} records, or cut off")
-        at += RECORD_HEAD.size + RECORD_HEAD.unpack_from(data, at)[1]
+        head = at + RECORD_HEAD.size
+        at = head + RECORD_HEAD.unpack_from(data, at)[1] if head <= size else head
+        if number > MAX_RECORDS or at > size:
+            raise ValueError(f"a chunk of more than {MAX_RECORDS} records, or whose last is cut off")
     yield from breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
 
 

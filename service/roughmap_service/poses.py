@@ -18,12 +18,6 @@ Triple = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 Matrix = tuple[Triple, Triple, Triple]
 
-MAX_POSES = 20_000
-"""Poses kept a robot whatever their stamps: 10 s at 2 kHz; a flood of poses must not become a flood of memory."""
-
-MAX_TRANSFORMS = 1_000
-"""Transforms kept a robot: one a frame is needed, the rest serve odometry that arrives late."""
-
 STALE_ROW = 10
 """So many stale poses in a row with rising stamps mean that the clock was set back (the design's)."""
 
@@ -61,6 +55,8 @@ class PoseBuffer:
     history_ns: int
     jump_m: float
     jump_rad: float
+    max_poses: int = 20_000
+    max_transforms: int = 1_000
     poses: list[Pose] = field(default_factory=list)
     transforms: dict[str, list[StampedTransform]] = field(default_factory=dict)
     horizon_ns: int = 0
@@ -106,7 +102,7 @@ class PoseBuffer:
         if before and self._jumped(row[before - 1], new):
             self.jumps += 1
         insort(row, new, key=_stamp)
-        if sum(len(r) for r in self.transforms.values()) > MAX_TRANSFORMS:
+        if sum(len(r) for r in self.transforms.values()) > self.max_transforms:
             self._forget_transform()
         return None
 
@@ -135,8 +131,8 @@ class PoseBuffer:
         self.horizon_ns = max(self.horizon_ns, self.poses[-1].stamp_ns - self.history_ns)
         # The last pose at or before the horizon stays: without it a time just after the horizon has no bracket.
         keep = max(bisect_right(self.poses, self.horizon_ns, key=_stamp) - 1, 0)
-        if len(self.poses) - keep > MAX_POSES:
-            keep = len(self.poses) - MAX_POSES
+        if len(self.poses) - keep > self.max_poses:
+            keep = len(self.poses) - self.max_poses
             self.horizon_ns = max(self.horizon_ns, self.poses[keep].stamp_ns)
         del self.poses[:keep]
 

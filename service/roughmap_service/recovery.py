@@ -307,7 +307,7 @@ def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: 
             own = item.metadata.version == version("roughmap")
         elif isinstance(item, InputRecord):
             if item.kind is Kind.POINTS:
-                waiting[item.number] = item.robot, len(item.payload)
+                waiting[item.number] = item.robot, state.clouds[item.number].held_bytes
             if item.record > taken:
                 identity = Duplicates.identity(item.robot, item.kind, item.payload)
                 result.duplicates.add(identity, item.number)

@@ -34,7 +34,7 @@ from .log_file import Kind, LogRecord
 from .log_writer import LogWriter, Rotate, Sync
 from .logs import note
 from .memory import Memory
-from .settings import MAX_ROBOTS, NS
+from .settings import NS
 from .view import View
 
 log = logging.getLogger(__name__)
@@ -259,9 +259,13 @@ class Sequencer:
         robots = self.state.settings.config.input.robots
         if robots and message.robot not in robots:
             raise MessageFault(Refusal.UNKNOWN_ROBOT, f"robot {message.robot!r} is not among input.robots")
-        if not robots and message.robot not in self._robots and len(self._robots) >= MAX_ROBOTS:
+        if (
+            not robots
+            and message.robot not in self._robots
+            and len(self._robots) >= (most := self.state.settings.max_robots)
+        ):
             raise MessageFault(
-                Refusal.UNKNOWN_ROBOT, f"{MAX_ROBOTS} robots are known already; name them in input.robots"
+                Refusal.UNKNOWN_ROBOT, f"{most} robots are known (input.max_robots); name yours in input.robots"
             )
         try:
             content = decode(message.kind, message.payload, self.state.settings)
@@ -279,7 +283,7 @@ class Sequencer:
                 f"frame {cloud.frame_id!r} is neither the map's ({settings.frame_id!r}) nor a configured sensor "
                 f"([sensors.{cloud.frame_id}])",
             )
-        if message.reply is not None and not self.inbox.has_room(len(message.payload)):
+        if message.reply is not None and not self.inbox.has_room(cloud.held_bytes):
             raise MessageFault(Refusal.BUSY, "clouds wait for their poses up to input.queue_limit; try again")
 
     def _take_up(self, number: int, message: InputMessage, content: Content) -> None:
@@ -287,12 +291,8 @@ class Sequencer:
             self.state.take_cloud(number, content)
             first, last = span(content)
             self._arrived[number] = message.arrival
-            self.inbox.feed(
-                WaitingCloud(
-                    number, message.robot, content, first, last, message.arrival, len(message.payload),
-                    promised=message.reply is not None,
-                )
-            )  # fmt: skip
+            promised, size = message.reply is not None, content.held_bytes
+            self.inbox.feed(WaitingCloud(number, message.robot, content, first, last, message.arrival, size, promised))
         elif isinstance(content, Odometry):
             reason, was_reset = self.state.take_odometry(number, message.robot, content)
             self._counters.pose(reason)

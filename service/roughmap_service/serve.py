@@ -62,9 +62,6 @@ VERSION = version("roughmap")
 SPILL_NAME = "tiles.spill"
 """The spill file in the log's directory, if no other is named."""
 
-CONTROL_SECONDS = 30.0
-"""How long an operator's snapshot or reset may take."""
-
 
 class ServeError(Exception):
     """The service can't start; one line that names the cause and the mend."""
@@ -157,7 +154,7 @@ def _run(
 
         stored = None if recovered.was_reset else recovered.cut
         snapshots = Snapshots(store, view, writer, stored, keep=config.log.keep, spill=memory.spill)
-        intake = Intake(config.input.queue_limit, counters)
+        intake = Intake(config.input.queue_limit, counters, config.input.pose_queue)
         events = session.declare_publisher(
             keys.events, encoding=json_encoding("Event"), congestion_control=zenoh.CongestionControl.DROP
         )
@@ -178,7 +175,7 @@ def _run(
             Intervals(config.log.checkpoint_interval, config.store.snapshot_interval),
             publish_event=publish, take_snapshot=cut, before_reset=emptied.note,
         )  # fmt: skip
-        control = _Control(sequencer, snapshots, cut)
+        control = _Control(sequencer, snapshots, cut, config.service.control_timeout)
 
         def progress() -> Progress:
             return Progress(
@@ -312,20 +309,21 @@ def _locked(directory: Path, store: Store | None) -> Iterator[None]:
 class _Control:
     """What an operator may ask for."""
 
-    def __init__(self, sequencer: Sequencer, snapshots: Snapshots, cut: Callable[[], None]) -> None:
+    def __init__(self, sequencer: Sequencer, snapshots: Snapshots, cut: Callable[[], None], timeout: float) -> None:
         self._sequencer = sequencer
         self._snapshots = snapshots
         self._cut = cut
+        self._timeout = timeout
 
     def snapshot(self) -> tuple[int, int]:
         """Store the map as it is now; (sequence, epoch) of what is stored."""
         if not self._snapshots.enabled:
             raise QueryFault(QueryCode.BAD_KEY, "this service has no store (store.path)")
         wanted = self._sequencer.state.map.sequence
-        until = time.monotonic() + CONTROL_SECONDS
+        until = time.monotonic() + self._timeout
         while self._snapshots.sequence < wanted and time.monotonic() < until:
-            self._sequencer.call(self._cut, CONTROL_SECONDS)
-            self._snapshots.close(CONTROL_SECONDS)
+            self._sequencer.call(self._cut, self._timeout)
+            self._snapshots.close(self._timeout)
             if self._snapshots.error:
                 break
         if self._snapshots.sequence < wanted:
@@ -335,7 +333,7 @@ class _Control:
     def reset(self) -> tuple[int, int]:
         """Empty the map; the (sequence, epoch) that begin with it."""
         done: list[tuple[int, int]] = []
-        self._sequencer.call(lambda: done.append(self._sequencer.reset()), CONTROL_SECONDS)
+        self._sequencer.call(lambda: done.append(self._sequencer.reset()), self._timeout)
         return done[0]
 
 

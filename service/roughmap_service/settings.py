@@ -12,7 +12,7 @@ from roughmap_schemas import Config, SensorConfig
 NS = 1_000_000_000
 
 MAX_ROBOTS = 256
-"""Robots that one map hears, if the configuration names none: their names come from outside and cost a buffer each."""
+"""Robots that are counted each by its name: so many series the metrics may have."""
 
 LARGEST_SIGMA = 1e100
 """Sigmas beyond it, which say no more, count as this one, whose square is still a number."""
@@ -45,6 +45,9 @@ class Settings:
         self.max_speed = inputs.max_speed
         self.max_turn = inputs.max_turn
         self.queue_limit = inputs.queue_limit
+        self.max_robots = inputs.max_robots
+        self.max_poses = inputs.max_poses
+        self.max_transforms = inputs.max_transforms
         self.max_new_tiles = config.map.max_new_tiles
         self.max_tiles = config.map.max_tiles
         pose_sigma = np.minimum(np.array(inputs.pose_sigma, np.float64), LARGEST_SIGMA)

@@ -26,7 +26,9 @@ def hasty(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 @pytest.fixture(scope="module")
 def patient(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """Clouds wait for longer than the tests take, in an inbox that a few of them fill."""
-    with running(tmp_path_factory.mktemp("patient"), input={"max_wait": 600.0, "queue_limit": "60KiB"}) as both:
+    with running(
+        tmp_path_factory.mktemp("patient"), input={"max_wait": 600.0, "queue_limit": "60KiB", "max_message": "60KiB"}
+    ) as both:
         yield both
 
 

@@ -179,7 +179,19 @@ def test_names_from_outside_are_bounded() -> None:
 
 def doctor(capsys: pytest.CaptureFixture[str], file: Path, *arguments: str) -> tuple[int, dict[str, list[str]]]:
     """Exit code, and the verdicts by area."""
-    code = run(["doctor", "-c", str(file), "--json", "--set", "input.queue_limit=1MiB", *arguments])
+    code = run(
+        [
+            "doctor",
+            "-c",
+            str(file),
+            "--json",
+            "--set",
+            "input.queue_limit=1MiB",
+            "--set",
+            "input.max_message=1MiB",
+            *arguments,
+        ]
+    )
     report = json.loads(capsys.readouterr().out)
     assert report["ok"] == (code == 0)
     areas: dict[str, list[str]] = {}

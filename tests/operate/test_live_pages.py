@@ -131,7 +131,7 @@ def test_an_overload_is_told_everywhere_and_so_is_its_end(
     """Clouds whose poses never come fill a small inbox."""
     monkeypatch.chdir(tmp_path)
     cloud = [encode_cloud(np.full((100, 3), k, np.float32), T0 + k, "lidar") for k in range(200)]
-    inputs = {"queue_limit": 20_000, "max_wait": 600.0}
+    inputs = {"max_message": 20_000, "queue_limit": 20_000, "max_wait": 600.0}
     with Service(tmp_path, http={"listen": "127.0.0.1:0"}, input=inputs) as service:
         listen = service.ready()["http"].removeprefix("http://")
         with connected(service) as feed:

@@ -176,3 +176,13 @@ def test_a_foreign_reader_sees_what_was_encoded(rows: list, stamp: int, translat
 def test_what_cannot_be_encoded(arguments: tuple) -> None:
     with pytest.raises(ValueError, match="expected"):
         encode_cloud(*arguments)
+
+
+def test_what_a_cloud_holds_is_told() -> None:
+    """Its payload where the points are a view of it; where they had to be moved, three times as much."""
+    points = np.zeros((1000, 3), np.float32)
+    plain = encode_cloud(points, 0, "lidar")
+    timed = encode_cloud(points, 0, "lidar", offsets_ns=np.zeros(1000))
+    moved = encode_cloud(points, 0, "lidar", offsets_ns=np.zeros(1000), pose=((1, 2, 3), (0, 0, 0, 1)))
+    held = [read_cloud(payload).held_bytes - 1024 for payload in (plain, timed, moved)]
+    assert held == [len(plain), len(timed) + 8000, 24_000 + 8000]

@@ -78,11 +78,12 @@ DEFAULTS = {
 
 FREE = {
     "map": {"spill_path", "spill_limit"},
+    "input": {"max_robots", "max_poses", "max_transforms", "pose_queue"},
     "query": {"max_running_cells", "queue_limit", "cache_limit"},
     "log": {"max_file_bytes", "max_file_age", "queue_limit"},
     "store": {"snapshot_interval"},
     "http": {"token", "token_file"},
-    "service": {"threads", "log_format", "log_level"},
+    "service": {"threads", "control_timeout", "log_format", "log_level"},
 }
 """Settings whose defaults, or which themselves, the contract leaves open."""
 
@@ -307,3 +308,9 @@ def test_the_public_settings_hide_secrets_and_read_back() -> None:
     assert again.public_dict() == public
     assert configuration_digest(again) == configuration_digest(config)
     assert public["sensors"]["lidar"]["max_range"] == "inf"
+
+
+@pytest.mark.parametrize(("message", "queue"), [(2000, 1000), (1 << 30, 1 << 40)])
+def test_a_message_that_could_never_be_taken(message: int, queue: int) -> None:
+    with pytest.raises(ValueError, match=r"input\.max_message: must be at most input\.queue_limit"):
+        Config.model_validate({"input": {"max_message": message, "queue_limit": queue}})

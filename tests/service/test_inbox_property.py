@@ -13,7 +13,9 @@ from roughmap_service.poses import PoseBuffer
 from roughmap_service.settings import Settings
 
 TENTH = 10**8
-SETTINGS = Settings(config(input={"max_wait": 1.0, "max_pose_gap": 0.25, "pose_history": 2.0, "queue_limit": 500}))
+SETTINGS = Settings(
+    config(input={"max_wait": 1.0, "max_pose_gap": 0.25, "pose_history": 2.0, "queue_limit": 500, "max_message": 500})
+)
 ROBOTS = ("a", "b", "c")
 OUT_OF_TURN = (CloudReason.OVERLOAD, CloudReason.CLOCK_RESET)
 """These end clouds from outside, whatever waits before them."""

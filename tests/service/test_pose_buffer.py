@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from service_tools import LEVEL, PRECISE
 
 from roughmap_schemas import Odometry, PoseReason
-from roughmap_service import poses
 from roughmap_service.poses import STALE_ROW, PoseBuffer, too_far_apart, too_fast
 
 HISTORY = 1000
@@ -103,9 +102,11 @@ def test_the_horizon_never_goes_back() -> None:
     assert b.add(pose(BEGIN + 999), 4)[0] is PoseReason.STALE
 
 
-def test_no_flood_of_poses_within_the_history(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(poses, "MAX_POSES", 5)
-    b = filled(*range(BEGIN, BEGIN + 8))
+def test_no_flood_of_poses_within_the_history() -> None:
+    b = buffer()
+    b.max_poses = 5
+    for number in range(8):
+        assert b.add(pose(BEGIN + number), number + 1) == (None, False)
     assert stamps(b) == list(range(BEGIN + 3, BEGIN + 8))
     assert b.add(pose(BEGIN + 2), 9)[0] is PoseReason.STALE, "what was dropped is not taken again"
 

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from service_tools import LEVEL
 
 from roughmap_schemas import Odometry, PoseReason, Transform
-from roughmap_service import poses
 from roughmap_service.poses import PoseBuffer, trajectory
 
 TURNED = (0.0, 0.0, np.sin(0.5), np.cos(0.5))
@@ -88,10 +87,10 @@ def test_a_jump_is_counted(x: float, rotation: tuple, jumps: int) -> None:
     assert b.poses[0].position == (0.0, 0.0, 0.0)
 
 
-def test_a_flood_of_transforms_drives_out_its_own_oldest(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_flood_of_transforms_drives_out_its_own_oldest() -> None:
     """Nor does a clock that was set back make the new transforms the ones that go."""
-    monkeypatch.setattr(poses, "MAX_TRANSFORMS", 4)
     b = buffer()
+    b.max_transforms = 4
     b.add_transform(transform(0, child="mast"), 1)
     for number, stamp in enumerate([100, 110, 120, 5, 6], 2):
         b.add_transform(transform(stamp), number)
@@ -99,9 +98,9 @@ def test_a_flood_of_transforms_drives_out_its_own_oldest(monkeypatch: pytest.Mon
     assert [t.input for t in b.transforms["odom"]] == [5, 6, 4]
 
 
-def test_frames_without_end_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(poses, "MAX_TRANSFORMS", 4)
+def test_frames_without_end_are_bounded() -> None:
     b = buffer()
+    b.max_transforms = 4
     for number in range(1, 9):
         b.add_transform(transform(10, child=f"frame{number}"), number)
     assert list(b.transforms) == ["frame5", "frame6", "frame7", "frame8"]

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from service_tools import LEVEL, SECOND, T0
 
 from roughmap_schemas import PoseReason, decode_odometry, decode_transform, encode_odometry, encode_transform
-from roughmap_service import poses as module
 from roughmap_service.poses import Pose, PoseBuffer, too_far_apart, too_fast, trajectory
 
 LARGEST = 1.7e308
@@ -64,9 +63,9 @@ def test_jumps_over_distances_beyond_all_numbers(buffer: PoseBuffer) -> None:
     assert buffer.jumps == 1
 
 
-def test_after_a_clock_set_back_new_transforms_are_kept(buffer: PoseBuffer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_a_clock_set_back_new_transforms_are_kept(buffer: PoseBuffer) -> None:
     """By stamp they would always be the oldest, and the robot without a frame for as long as it drives."""
-    monkeypatch.setattr(module, "MAX_TRANSFORMS", 4)
+    buffer.max_transforms = 4
     for number in range(1, 5):
         moved(buffer, number, T0 + 100 * SECOND + number)
     for number in range(5, 12):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from net import WAIT_S
+from net import WAIT_S, Gathered
 from processes import LEVEL, PRECISE, T0, Feed, running
 
 from roughmap_client import QueryRefused, Tile
@@ -166,10 +166,14 @@ class Watcher:
     def __init__(self) -> None:
         self.failures: list[str] = []
         self.seen: dict[tuple[int, int, int], tuple[int, int]] = {}
-        self.number = 0
+        self.updates: Gathered[tuple[int, int, int]] = Gathered()
+
+    @property
+    def number(self) -> int:
+        return len(self.updates.items)
 
     def __call__(self, tile: Tile) -> None:
-        self.number += 1
+        self.updates(tile.key)
         version = (tile.info.epoch, tile.info.sequence)
         if version <= self.seen.get(tile.key, (0, 0)) and tile.known_cells:
             self.failures.append(f"{tile.key} at {version} after {self.seen[tile.key]}")
@@ -211,6 +215,11 @@ def test_all_at_once(tmp_path: Path, request: pytest.FixtureRequest) -> None:
         epochs, spilled = [first.epoch], [0]
         readers = [Reader(storm), Reader(storm)]
         stack.enter_context(feed.client.watch(watcher, level=0))
+        statuses: Gathered[int] = Gathered()
+        subscriber = feed.session.declare_subscriber(
+            "maps/site/status", lambda s: statuses(MapStatus.model_validate_json(s.payload.to_bytes()).sequence)
+        )
+        stack.callback(subscriber.undeclare)
 
         def scan(number: int) -> None:
             storm.hand_in("points", "plate", plate(number))
@@ -232,11 +241,6 @@ def test_all_at_once(tmp_path: Path, request: pytest.FixtureRequest) -> None:
             if number % 2:
                 epochs.append(answer.epoch)
 
-        def everything_lives() -> bool:
-            threads = {task.name for task in Path(f"/proc/{service.process.pid}/task").iterdir()}
-            return before <= threads
-
-        before = {task.name for task in Path(f"/proc/{service.process.pid}/task").iterdir()}
         begun = time.monotonic()
         storm.start("scans", scan)
         storm.start("noise", noise)
@@ -258,7 +262,12 @@ def test_all_at_once(tmp_path: Path, request: pytest.FixtureRequest) -> None:
         assert watcher.number
         assert not watcher.failures, watcher.failures[:3]
         assert all(len(reader.counts) > 3 for reader in readers), "states that were seen"
-        assert everything_lives()
+        # Each part still does its work: a receipt (log), an event, an update, a snapshot, the published status.
+        told = watcher.number
+        feed.decided(feed.ingest("points", "plate", plate(10**6)).input)
+        assert control(feed, "snapshot").sequence > last.sequence
+        statuses.wait(lambda items: bool(items) and items[-1] > last.sequence, "the published status")
+        watcher.updates.wait(lambda items: len(items) > told, "an update")
         bad = [line for line in service.err if '"error"' in line or '"critical"' in line]
         assert not bad
         print(f"{took:.0f} s: {dict(storm.done)}, {storm.sent} messages, {last.sequence} changes")

@@ -13,7 +13,7 @@ from roughmap_service.apply import span
 from roughmap_service.fold import decode
 from roughmap_service.intake import ENCODINGS
 from roughmap_service.log_file import Kind
-from roughmap_service.settings import MAX_ROBOTS, Settings
+from roughmap_service.settings import Settings
 
 MAX_KEPT = 20_000
 """Stamps kept of one robot's poses or clouds."""
@@ -99,7 +99,7 @@ class Traffic:
         """One message, as it comes in."""
         arrival, now_ns = time.monotonic(), time.time_ns()
         with self._lock:
-            if robot not in self.robots and len(self.robots) >= MAX_ROBOTS:
+            if robot not in self.robots and len(self.robots) >= self._settings.max_robots:
                 return
             heard = self.robots.setdefault(robot, Heard())
             streams = {Kind.POINTS: heard.clouds, Kind.ODOMETRY: heard.poses, Kind.TRANSFORM: heard.transforms}
