@@ -83,8 +83,10 @@ def as_fault(error: Exception) -> tuple[str, str]:
 class Answers:
     """Answers queries on tiles, region, cells, status and control while it is entered.
 
-    A reader that stalls holds up what shares its link, for 5 s at most. Callbacks of Zenoh are
-    serial, so they only parse, check and queue; ``query.workers`` threads answer, each query from one frozen map.
+    Callbacks of Zenoh are serial, so they only parse, check and queue; ``query.workers`` threads answer, each query
+    from one frozen map.
+
+    A reader that stalls holds up what shares its link, for 5 s at most.
 
     ``status`` gives the status message; ``control`` maps actions (``snapshot``, ``reset``) to what carries them out and
     gives (sequence, epoch), in a thread of its own; ``record_query`` is told of every tile, region and cells query.

@@ -8,15 +8,22 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from roughmap import Trajectory
 from roughmap_schemas import Odometry, PoseReason, Transform
 
-Floats = npt.NDArray[np.float64]
-Triple = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-Matrix = tuple[Triple, Triple, Triple]
+from .pose_algebra import (
+    Floats,
+    Quaternion,
+    Triple,
+    angle_between,
+    matrix,
+    multiply,
+    quaternion,
+    rotate,
+    triple,
+    turn_covariance,
+)
 
 STALE_ROW = 10
 """So many stale poses in a row with rising stamps mean that the clock was set back (the design's)."""
@@ -95,7 +102,7 @@ class PoseBuffer:
         if transform.parent_frame_id != self.frame_id:
             return PoseReason.POSE_FRAME
         new = StampedTransform(
-            transform.stamp_ns, number, _floats3(transform.translation), _floats4(transform.rotation)
+            transform.stamp_ns, number, triple(transform.translation), quaternion(transform.rotation)
         )
         row = self.transforms.setdefault(transform.child_frame_id, [])
         before = bisect_right(row, new.stamp_ns, key=_stamp)
@@ -145,7 +152,7 @@ class PoseBuffer:
             del self.transforms[child]
 
     def _in_map_frame(self, odometry: Odometry, number: int) -> Pose | None:
-        position, rotation = _floats3(odometry.position), _floats4(odometry.rotation)
+        position, rotation = triple(odometry.position), quaternion(odometry.rotation)
         if odometry.frame_id == self.frame_id:
             return Pose(odometry.stamp_ns, position, rotation, odometry.covariance, number, 0)
         row = self.transforms.get(odometry.frame_id, [])
@@ -188,11 +195,11 @@ class PoseBuffer:
     def load_state(self, state: dict[str, Any]) -> None:
         """The inverse of `to_state`."""
         self.poses = [
-            Pose(s, _floats3(p), _floats4(r), None if c is None else np.array(c, np.float64), i, t)
+            Pose(s, triple(p), quaternion(r), None if c is None else np.array(c, np.float64), i, t)
             for s, p, r, c, i, t in state["poses"]
         ]
         self.transforms = {
-            child: [StampedTransform(s, i, _floats3(t), _floats4(r)) for s, i, t, r in row]
+            child: [StampedTransform(s, i, triple(t), quaternion(r)) for s, i, t, r in row]
             for child, row in state["transforms"].items()
         }
         self.horizon_ns = state["horizon_ns"]
@@ -228,70 +235,3 @@ def too_fast(poses: Sequence[Pose], max_speed: float, max_turn: float) -> bool:
 
 def _stamp(item: Pose | StampedTransform) -> int:
     return item.stamp_ns
-
-
-def _floats3(values: Sequence[float] | Floats) -> Triple:
-    x, y, z = (float(v) for v in values)
-    return x, y, z
-
-
-def _floats4(values: Sequence[float] | Floats) -> Quaternion:
-    x, y, z, w = (float(v) for v in values)
-    return x, y, z, w
-
-
-# Few poses, each once: plain floats, whose every operation is IEEE's, so that no BLAS decides about the last bit.
-
-
-def matrix(q: Quaternion) -> Matrix:
-    """Rotation matrix of a unit quaternion (x, y, z, w)."""
-    x, y, z, w = q
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-    )
-
-
-def rotate(r: Matrix, v: Triple) -> Triple:
-    """r v."""
-    x, y, z = (row[0] * v[0] + row[1] * v[1] + row[2] * v[2] for row in r)
-    return x, y, z
-
-
-def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The rotation that turns by b, then by a, normalised."""
-    ax, ay, az, aw = a
-    bx, by, bz, bw = b
-    x = aw * bx + ax * bw + ay * bz - az * by
-    y = aw * by - ax * bz + ay * bw + az * bx
-    z = aw * bz + ax * by - ay * bx + az * bw
-    w = aw * bw - ax * bx - ay * by - az * bz
-    n = math.sqrt(x * x + y * y + z * z + w * w)
-    return x / n, y / n, z / n, w / n
-
-
-def angle_between(a: Quaternion, b: Quaternion) -> float:
-    """Angle in radians of the shorter turn from a to b."""
-    near = math.dist(a, b)
-    far = math.dist(a, [-v for v in b])
-    return 4.0 * math.atan2(min(near, far), max(near, far))
-
-
-def turn_covariance(r: Matrix, covariance: Floats) -> Floats:
-    """A (6, 6) covariance whose axes are turned by r: each 3x3 block b becomes r b r^T."""
-    c = covariance.tolist()
-    out = np.empty((6, 6))
-    for i0 in (0, 3):
-        for j0 in (0, 3):
-            for i in range(3):
-                for j in range(3):
-                    total = 0.0
-                    for k in range(3):
-                        row = c[i0 + k]
-                        inner = row[j0] * r[j][0] + row[j0 + 1] * r[j][1] + row[j0 + 2] * r[j][2]
-                        total += r[i][k] * inner
-                    out[i0 + i, j0 + j] = total
-    lower = np.tril_indices(6, -1)
-    out[lower] = out.T[lower]
-    return out

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from roughmap_schemas.cloud import encode_cloud
 from roughmap_schemas.odometry import encode_odometry
-from roughmap_service.poses import multiply
+from roughmap_service.pose_algebra import multiply
 from roughmap_service.rotations import of_matrix, of_vector
 from roughmap_service.rover_ground import PATH_HALF_LENGTH, PATH_HALF_WIDTH, Ground, path
 from roughmap_service.rover_scanner import NANOSECONDS, Scanner

@@ -1,0 +1,78 @@
+"""Rotations of a few poses, in plain floats: every operation is IEEE's, so that no BLAS decides about the last bit."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Triple = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Matrix = tuple[Triple, Triple, Triple]
+
+
+def triple(values: Sequence[float] | Floats) -> Triple:
+    """Three numbers as plain floats."""
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def quaternion(values: Sequence[float] | Floats) -> Quaternion:
+    """Four numbers, the last of them w, as plain floats."""
+    x, y, z, w = (float(v) for v in values)
+    return x, y, z, w
+
+
+def matrix(q: Quaternion) -> Matrix:
+    """Rotation matrix of a unit quaternion (x, y, z, w)."""
+    x, y, z, w = q
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def rotate(r: Matrix, v: Triple) -> Triple:
+    """r v."""
+    x, y, z = (row[0] * v[0] + row[1] * v[1] + row[2] * v[2] for row in r)
+    return x, y, z
+
+
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """The rotation that turns by b, then by a, normalised."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    w = aw * bw - ax * bx - ay * by - az * bz
+    n = math.sqrt(x * x + y * y + z * z + w * w)
+    return x / n, y / n, z / n, w / n
+
+
+def angle_between(a: Quaternion, b: Quaternion) -> float:
+    """Angle in radians of the shorter turn from a to b."""
+    near = math.dist(a, b)
+    far = math.dist(a, [-v for v in b])
+    return 4.0 * math.atan2(min(near, far), max(near, far))
+
+
+def turn_covariance(r: Matrix, covariance: Floats) -> Floats:
+    """A (6, 6) covariance whose axes are turned by r: each 3x3 block b becomes r b r^T."""
+    c = covariance.tolist()
+    out = np.empty((6, 6))
+    for i0 in (0, 3):
+        for j0 in (0, 3):
+            for i in range(3):
+                for j in range(3):
+                    total = 0.0
+                    for k in range(3):
+                        row = c[i0 + k]
+                        inner = row[j0] * r[j][0] + row[j0 + 1] * r[j][1] + row[j0 + 2] * r[j][2]
+                        total += r[i][k] * inner
+                    out[i0 + i, j0 + j] = total
+    lower = np.tril_indices(6, -1)
+    out[lower] = out.T[lower]
+    return out
