@@ -54,6 +54,8 @@ class AnswerQueue:
             threading.Thread(target=self._work, args=(n == 0 and workers > 1,), name=f"{name}-{n}", daemon=True)
             for n in range(workers)
         ]
+        # At the end one more, since jobs may hold all others; and the caller must not wait for an asker that stalls.
+        self._refuser = threading.Thread(target=self._work, args=(False,), name=f"{name}-end", daemon=True)
 
     def __enter__(self) -> Self:
         for thread in self._threads:
@@ -84,23 +86,24 @@ class AnswerQueue:
             self._condition.notify(1 if cells <= SMALL_CELLS else len(self._threads))
 
     def close(self, timeout: float = 2.0) -> None:
-        """Refuses what waits (``shutting_down``) and waits at most ``timeout`` seconds for what runs.
+        """Has what waits refused (``shutting_down``), and waits at most ``timeout`` seconds for that and for what runs.
 
         A second call waits for no longer than the first.
         """
         with self._condition:
-            self._closed = True
+            first, self._closed = not self._closed, True
             self._end = min(self._end, time.monotonic() + timeout)
-            waiting, self._waiting = self._waiting, []
             self._condition.notify_all()
-        for job in waiting:
-            job.refuse(QueryFault(QueryCode.SHUTTING_DOWN, "the service is shutting down"))
-        for thread in self._threads:
+        if first:
+            self._refuser.start()
+        for thread in (*self._threads, self._refuser):
             if thread.is_alive():
                 thread.join(max(0.0, self._end - time.monotonic()))
 
     def _take(self, small_only: bool) -> _Waiting | None:
-        """The first job in rank that may run now; called with the condition held."""
+        """The first job in rank that may run now, any after the end; called with the condition held."""
+        if self._closed:
+            return self._waiting.pop(0) if self._waiting else None
         for place, job in enumerate(self._waiting):
             fits = (
                 not job.cells  # such a one holds nothing back, and waits for nobody
@@ -125,8 +128,12 @@ class AnswerQueue:
                 if job is None:
                     return
                 self._running_cells += job.cells
+                closed = self._closed
             try:
-                job.run()
+                if closed:
+                    job.refuse(QueryFault(QueryCode.SHUTTING_DOWN, "the service is shutting down"))
+                else:
+                    job.run()
             except Exception:  # the thread must outlive it: with each one lost, fewer would answer until none did
                 LOG.exception("an answer failed beyond its own care")
             finally:

@@ -38,6 +38,9 @@ CODES: tuple[tuple[type[Exception], QueryCode], ...] = (
 CONTROL_PLACES = 4
 """Operators' requests that may wait: they come one by one, by hand."""
 
+CLOSE_SECONDS = 2.0
+"""How long the end waits for answers under way and for those who are told that there will be none."""
+
 Planner = Callable[["Question"], Plan]
 
 
@@ -143,9 +146,11 @@ class Answers:
         return self._queue.waiting
 
     def close(self) -> None:
-        """End: what waits and what still comes is answered `shutting_down`, what runs gets 2 s."""
-        self._queue.close()
-        self._operations.close()
+        """End: what waits and what still comes is answered `shutting_down`, what runs goes on; 2 s for all of it
+        together, since the final checkpoint, the snapshot and the log's end come after this."""
+        until = time.monotonic() + CLOSE_SECONDS
+        for queue in (self._queue, self._operations):
+            queue.close(max(0.0, until - time.monotonic()))
         self._stack.close()
 
     def _declare(self, key: str, handler: Callable[[zenoh.Query], None]) -> None:

@@ -50,6 +50,32 @@ def test_the_end_waits_for_a_stuck_job_once_and_in_bounded_time() -> None:
     assert not queue._threads[0].is_alive()
 
 
+def test_the_end_does_not_wait_for_askers_that_stall_when_they_are_refused() -> None:
+    """The final checkpoint and the log's end come after it. Another asker is refused meanwhile."""
+    entered, told, leave = threading.Event(), threading.Event(), threading.Event()
+
+    def stuck() -> None:
+        entered.set()
+        leave.wait(WAIT_S)
+
+    def tell(fault: QueryFault) -> None:
+        assert fault.code == "shutting_down"
+        told.set()
+
+    with AnswerQueue("t", 2, 10, 100) as queue:
+        queue.submit(100, stuck, never)  # the other worker has no room to run what waits
+        wait_for(entered, "the job")
+        queue.submit(100, lambda: None, lambda _: stuck())
+        queue.submit(100, lambda: None, tell)
+        closing = threading.Thread(target=queue.close, args=(0.05,), daemon=True)
+        closing.start()
+        closing.join(WAIT_S / 3)
+        ended = not closing.is_alive()
+        wait_for(told, "the asker that listens")
+        leave.set()
+    assert ended, "the end waited for an asker that stalls"
+
+
 def test_a_large_one_comes_though_small_ones_keep_coming() -> None:
     """Each small one asks for the next before it ends: the large one waits for a bounded number of them."""
     done, order = threading.Event(), []
