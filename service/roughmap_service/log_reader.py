@@ -163,7 +163,7 @@ def last_log_time(path: Path) -> int:
     try:
         with path.open("rb") as stream:
             summary = make_reader(stream).get_summary()
-    except _DAMAGE:
+    except (*_DAMAGE, MemoryError, OverflowError, OSError):  # of places and lengths in the footer that can't be
         return 0
     return 0 if summary is None or summary.statistics is None else summary.statistics.message_end_time
 

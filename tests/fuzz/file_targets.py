@@ -12,7 +12,16 @@ import xxhash
 from roughmap_schemas import ConfigFault, config_from
 from roughmap_schemas.config_load import load_config
 from roughmap_service.clouds_in import CloudFileFault, PlacedPoints, read_cloud
-from roughmap_service.log_reader import LogError, find_files, is_closed, one_run, raw_records, read_file, read_run
+from roughmap_service.log_reader import (
+    LogError,
+    find_files,
+    is_closed,
+    last_log_time,
+    one_run,
+    raw_records,
+    read_file,
+    read_run,
+)
 from roughmap_service.log_repair import repair
 from roughmap_service.store import TILE_BYTES, Store, StoreError
 from roughmap_service.stored_tiles import read_index
@@ -55,6 +64,7 @@ def log(payload: bytes) -> None:
         before.extend(read_file(path))  # what came before an error stays
     with contextlib.suppress(LogError):
         list(read_run(one_run(find_files([path.parent]))))
+    last_log_time(path)
     logging.disable()  # each repair is told of
     try:
         repair(path, damaged=True)
