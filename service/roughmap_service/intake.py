@@ -27,6 +27,10 @@ MAX_NUMBERED = 10_000
 """Streams (a robot's messages of a kind) whose gaps are counted."""
 
 
+MAX_GAP = 1 << 32
+"""A number that leaps further tells of no loss, but of another count."""
+
+
 @dataclass(slots=True)
 class InputMessage:
     """An input that passed the checks on its key, encoding and size, not yet decoded."""
@@ -225,7 +229,7 @@ class ZenohInputs:
             return
         number = int.from_bytes(attachment.to_bytes(), "little")
         last = self._sequences.get((robot, kind))
-        if last is not None and number > last + 1:
+        if last is not None and 1 < number - last <= MAX_GAP:
             missing = number - last - 1
             self._counters.gap(robot, missing)
             text = f"robot {robot}: {missing} {kind.value} messages are missing before number {number}"
