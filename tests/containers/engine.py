@@ -60,17 +60,17 @@ class Engine:
         done = subprocess.run([self.program, *arguments], capture_output=True, text=True, timeout=60, check=False)
         return done.stdout + done.stderr
 
-    def volume(self, name: str, *options: str) -> str:
+    def volume(self, name: str) -> str:
         """Make a volume; its full name."""
         full = f"{PREFIX}-{name}"
-        self.run("volume", "create", *options, full)
+        self.run("volume", "create", full)
         self._volumes.append(full)
         return full
 
-    def start(self, name: str, *command: str, options: tuple[str, ...] = ()) -> str:
+    def start(self, name: str, *command: str, options: tuple[str, ...] = (), network: bool = True) -> str:
         """Start a container of the image in the background, hardened; its full name."""
         full = f"{PREFIX}-{name}"
-        net = ("--network", self.network, "--network-alias", name)
+        net = ("--network", self.network, "--network-alias", name) if network else ()
         self.run("run", "-d", "--name", full, *net, *HARDENED, *options, self.image, *command)
         self._containers.append(full)
         return full

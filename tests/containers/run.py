@@ -1,4 +1,4 @@
-"""The image under what happens to containers: `make container-test` (docker or podman; five minutes or so).
+"""The image under what happens to containers: `make container-test` (docker or podman; as root; four minutes or so).
 
 A router, the service and a simulated rover on a bridge network, all as little privileged as they can be. What was seen
 is printed as it goes on, and at the end as a list. A failure ends it with exit 1 and the containers' last lines.
@@ -9,7 +9,10 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from engine import Engine, Failed, until
@@ -31,16 +34,6 @@ SERVICE = (
 PYTHON = ("--entrypoint", "python")
 FILLED = "64m"
 """The size of the volume that is filled: the map's first tiles and some seconds of a rover fit in."""
-
-FILL = """
-left = 1 << 16
-with open("/data/filler", "wb", 0) as file:
-    while left:
-        try:
-            file.write(bytes(left))
-        except OSError:
-            left >>= 1
-"""
 
 
 class Covered:
@@ -103,10 +96,10 @@ def the_image(engine: Engine, covered: Covered) -> None:
     expect("org.opencontainers.image.version" in config["Labels"], f"labels {config['Labels']}")
     health = known.get("Healthcheck") or config.get("Healthcheck") or {}
     expect(health.get("Test") == ["CMD", "roughmap", "health"], f"health check {health}")
-    compilers = "import shutil; print(*filter(None, map(shutil.which, ('cc', 'gcc', 'clang', 'ld', 'as', 'pip'))))"
+    compilers = "import shutil; print(*filter(None, map(shutil.which, ('cc', 'gcc', 'clang', 'ld', 'as'))))"
     found = engine.once("-c", compilers, options=PYTHON).strip()
     expect(not found, f"in the image: {found}")
-    covered(f"the image: {size:.0f} MB, user 10001, volume /data, health check, OCI labels, no compiler and no pip")
+    covered(f"the image: {size:.0f} MB, user 10001, volume /data, health check, OCI labels, no compiler")
 
 
 def a_refusal(engine: Engine, covered: Covered) -> None:
@@ -116,7 +109,7 @@ def a_refusal(engine: Engine, covered: Covered) -> None:
     covered("beyond loopback without TLS: refused, with the way out named")
 
 
-def driving(engine: Engine, covered: Covered, seconds: int) -> str:
+def driving(engine: Engine, covered: Covered) -> str:
     """Router, service and rover; tiles from a third container; the pages; the health check."""
     router = ("-v", f"{DOCKER}/router.py:/router.py:ro", "-v", f"{DOCKER}/router.json5:/router.json5:ro")
     engine.start("router", "/router.py", "/router.json5", options=(*router, *PYTHON))
@@ -129,7 +122,7 @@ def driving(engine: Engine, covered: Covered, seconds: int) -> str:
     covered(
         f"first start on an empty volume: ready after {took:.2f} s; at rest {int(rest.split()[0]) >> 10} MiB resident"
     )
-    engine.start("rover", "simulate", "--connect", ROUTER, "--duration", str(seconds), "--columns", "256")
+    engine.start("rover", "simulate", "--connect", ROUTER, "--duration", "90", "--columns", "256")
     seen = until("tiles of the rover's ground", lambda: (now := ask(engine))["known_cells"] > 1000 and now)
     covered(f"a third container asks for all tiles: {seen['tiles']}, {seen['known_cells']} known cells")
     expect(works(engine, service), "roughmap health says that it works")
@@ -148,9 +141,7 @@ def driving(engine: Engine, covered: Covered, seconds: int) -> str:
     try:
         engine.run("exec", service, "touch", "/opt/roughmap/x")
     except Failed:
-        covered(
-            "runs with a read-only root file system, no capabilities, no new privileges, limits on memory and processes"
-        )
+        covered("read-only root file system, no capabilities, no new privileges, limits on memory and processes")
     else:
         raise Failed("the root file system can be written")
     return volume
@@ -191,6 +182,37 @@ def faults(engine: Engine, covered: Covered) -> None:
     covered(f"the network is back: it goes on, sequence {after['sequence']}")
 
 
+def replay(engine: Engine, volume: str, *arguments: str) -> str:
+    """What `roughmap replay` says in a container that has nothing but the volume, to read."""
+    alone = ("--network=none", "-v", f"{volume}:/data:ro", "-e", "NUMBA_CACHE_DIR=")
+    said = engine.once("replay", *arguments, options=alone, seconds=300).strip().splitlines()[-1]
+    expect(said.startswith("equal: "), f"replay says {said!r}")
+    return said
+
+
+def backed_up(engine: Engine, covered: Covered) -> None:
+    """OPERATIONS.md's backup, while the rover drives; restored, it is a map of its own that goes on."""
+    service = f"{engine.network.removesuffix('-net')}-map"
+    until("a snapshot is stored", lambda: lines(engine, service, "snapshot"))
+    copy = "import sqlite3 as s; s.connect('/data/map.db').backup(s.connect('/backup/map.db'))"
+    data, volume = f"{service.removesuffix('-map')}-data", engine.volume("backup")
+    with TemporaryDirectory(prefix="roughmap-") as folder:
+        os.chown(folder, 10001, 10001)
+        mounts = ("-v", f"{data}:/data", "-v", f"{folder}:/backup")
+        engine.once("-c", copy, options=(*mounts, *PYTHON))
+        engine.once("-r", "/data/log", "/backup/", options=(*mounts, "--entrypoint", "cp"))
+        mounts = ("-v", f"{volume}:/data", "-v", f"{folder}:/backup:ro")
+        engine.once("-r", "/backup/map.db", "/backup/log", "/data/", options=(*mounts, "--entrypoint", "cp"))
+    options = (*SERVICE, "-v", f"{volume}:/data", "--network=none", "-e", "ROUGHMAP_ZENOH__CONNECT=")
+    options = (*options, "-e", "ROUGHMAP_ZENOH__MODE=peer")
+    restored = engine.start("restored", "serve", "--insecure", options=options, network=False)
+    ready(engine, restored)
+    (back,) = lines(engine, restored, "map_recovered")
+    engine.run("stop", "-t", "12", restored)
+    covered(f"backup while it runs, restored in a fresh container at sequence {back['sequence']}")
+    covered(f"and the backup replays: {replay(engine, volume, '/data/log')}")
+
+
 def replayed(engine: Engine, covered: Covered, volume: str) -> None:
     """The rover has ended: the same digest after a kill, at a stop, and from the log in a fresh container."""
     service, rover = (f"{engine.network.removesuffix('-net')}-{name}" for name in ("map", "rover"))
@@ -210,7 +232,7 @@ def replayed(engine: Engine, covered: Covered, volume: str) -> None:
     expect(not kernels, f"kernels that the image lacks were compiled: {kernels}")
     covered("all kernels came with the image: none was compiled")
 
-    engine.run("stop", "--time", "12", service)
+    engine.run("stop", "-t", "12", service)
     ended = lines(engine, service, "end")
     expect(state(engine, service)["ExitCode"] == 0 and ended, f"stopped: {state(engine, service)}")
     covered("SIGTERM to process 1: ended in order, exit 0")
@@ -222,34 +244,49 @@ def replayed(engine: Engine, covered: Covered, volume: str) -> None:
     covered(f"replayed from the volume, read-only, in a fresh container without a network: {said}")
 
 
-def full(engine: Engine, covered: Covered) -> None:
+@contextmanager
+def small_disk() -> Iterator[Path]:
+    """A file system of `FILLED` bytes, in memory, that belongs to the image's user."""
+    with TemporaryDirectory(prefix="roughmap-") as folder:
+        options = f"size={FILLED},uid=10001,gid=10001,mode=0750"
+        subprocess.run(["mount", "-t", "tmpfs", "-o", options, "roughmap-test", folder], check=True)
+        try:
+            yield Path(folder)
+        finally:
+            subprocess.run(["umount", "--lazy", folder], check=True)
+
+
+def fill(path: Path) -> None:
+    """Write to a file until not another byte fits."""
+    left = 1 << 16
+    with path.open("wb", buffering=0) as file:
+        while left:
+            try:
+                file.write(bytes(left))
+            except OSError:
+                left >>= 1
+
+
+def full(engine: Engine, covered: Covered, disk: Path) -> None:
     """A volume without room: it says so, refuses what it can't keep, answers on, and goes on once there is room."""
-    volume = engine.volume(
-        "small", "-o", "type=tmpfs", "-o", "device=tmpfs", "-o", f"o=size={FILLED},uid=10001,mode=0750"
-    )
-    # Holds the volume, which is memory, when the service ends; and fills it.
-    holder = engine.start("holder", "-c", "import signal; signal.pause()", options=("-v", f"{volume}:/data", *PYTHON))
-    options = (*SERVICE, "-v", f"{volume}:/data", "--restart=unless-stopped")
+    options = (*SERVICE, "-v", f"{disk}:/data", "--restart=unless-stopped")
     service = engine.start("full", "serve", "--insecure", options=options)
     ready(engine, service)
     engine.start("rover2", "simulate", "--connect", ROUTER, "--duration", "40", "--columns", "64", "--rings", "32")
     before = until("tiles", lambda: (now := ask(engine))["known_cells"] > 100 and now)
-    engine.run("exec", holder, "python", "-c", FILL)
+    fill(disk / "filler")
     told = until("it says that the log can't be written", lambda: not (now := ask(engine))["log_ok"] and now)
     expect(told["health"] == "degraded" and told["known_cells"] >= before["known_cells"], f"on a full volume: {told}")
     expect(not works(engine, service), "health on a full volume")
     expect(state(engine, service)["Running"], "the service runs on a full volume")
     covered(f"a full volume: degraded, health fails, {told['tiles']} tiles are answered, refused: {told['refused']}")
-    engine.run("exec", holder, "rm", "/data/filler")
+    (disk / "filler").unlink()
     now = until("it goes on", lambda: (now := ask(engine))["log_ok"] and now["sequence"] > told["sequence"] and now)
     expect(works(engine, service), "health once there is room")
     covered(f"room again: health {now['health']}, sequence {told['sequence']} to {now['sequence']}")
-    engine.run("stop", "--time", "12", service)
+    engine.run("stop", "-t", "12", service)
     expect(state(engine, service)["ExitCode"] == 0, "ended in order")
-    alone = ("--network=none", "-v", f"{volume}:/data:ro", "-e", "NUMBA_CACHE_DIR=")
-    said = engine.once("replay", "/data/log", options=alone, seconds=300).strip().splitlines()[-1]
-    expect(said.startswith("equal: "), f"the log that met a full disk: {said}")
-    covered(f"the log that met a full disk replays: {said}")
+    covered(f"the log that met a full disk replays: {replay(engine, str(disk), '/data/log')}")
 
 
 def another_cpu(engine: Engine, covered: Covered) -> None:
@@ -259,7 +296,7 @@ def another_cpu(engine: Engine, covered: Covered) -> None:
     options = (*options, "-e", "ROUGHMAP_MAP__NAME=other")
     service = engine.start("other", "serve", "--insecure", options=options)
     first = ready(engine, service, seconds=400)
-    engine.run("stop", "--time", "12", service)
+    engine.run("stop", "-t", "12", service)
     engine.run("start", service)
     second = ready(engine, service, 2)
     expect(second < first / 3, f"ready after {first:.1f} s, then {second:.1f} s")
@@ -273,7 +310,7 @@ def main() -> int:
         print(found.stderr, file=sys.stderr)
         return 2
     os.environ.update(pair.split("=", 1) for pair in found.stdout.split("\0") if "=" in pair)
-    covered, seconds = Covered(), int(os.environ.get("ROVER_SECONDS", "75"))
+    covered = Covered()
     program = os.environ["ENGINE"]
     if os.geteuid() != 0:
         print(
@@ -285,10 +322,12 @@ def main() -> int:
         with Engine(program, os.environ.get("ROUGHMAP_IMAGE", "localhost/roughmap:latest")) as engine:
             the_image(engine, covered)
             a_refusal(engine, covered)
-            volume = driving(engine, covered, seconds)
+            volume = driving(engine, covered)
+            backed_up(engine, covered)
             faults(engine, covered)
             replayed(engine, covered, volume)
-            full(engine, covered)
+            with small_disk() as disk:
+                full(engine, covered, disk)
             another_cpu(engine, covered)
     except Failed as error:
         print(f"FAILED after {len(covered.items)} steps: {error}", file=sys.stderr)
