@@ -15,6 +15,7 @@ import numpy.typing as npt
 from roughmap.arrays import F8, I8, Flags
 from roughmap.batch_shares import Pairs, cells_of_bodies, cells_of_points
 from roughmap.cell import STAMP_LIMIT_NS, PointReason
+from roughmap.footprint import HEIGHT_MAX
 from roughmap.layers import LAYERS, LIMIT_NAMES, SINGLE_POINT, check_limits, check_tolerance
 from roughmap.normal import erf
 from roughmap.scan import checked_points
@@ -76,6 +77,7 @@ class BatchMap(Mapping[str, F8]):
             _reject(reason, ~_is_covariance(S), PointReason.COVARIANCE)
             spread = np.sqrt(np.clip(np.maximum(S[:, 0, 0], S[:, 1, 1]), 0.0, None))
             _reject(reason, coverage * spread > max_horizontal_radius, PointReason.UNCERTAIN)
+        _reject(reason, abs(where[:, 2]) > HEIGHT_MAX, PointReason.BOUNDS)
         if bounds is not None:
             x, y = where[:, 0], where[:, 1]
             inside = (x >= bounds[0]) & (x < bounds[2]) & (y >= bounds[1]) & (y < bounds[3])

@@ -5,7 +5,7 @@ import numpy as np
 from roughmap.arrays import F8, I8, Scalar
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
 from roughmap.footprint import CUBOID, POINT, bound_cuboids, bound_ellipsoids, bound_points
-from roughmap.index import find, place_key, tile_key
+from roughmap.index import row_of, tile_key
 from roughmap.jit import inline, kernel
 from roughmap.place import BLOCK, S, X, Y, Z, place_moving, place_still
 from roughmap.plain import flag_points, weigh_cuboids, weigh_ellipsoids, within
@@ -95,13 +95,7 @@ def _assign(
                 planes.run_stop[runs - 1] = k
                 length = 0
             last_key = key
-            row = find(table, keys, key)
-            if row < 0:
-                row = number
-                keys[number] = key
-                work[number] = 0
-                place_key(table, key, number)
-                number += 1
+            row, number = row_of(table, keys, work, key, number)
         worked += 1
         if not plain:
             planes.odd_home[odd - 1] = row

@@ -27,6 +27,9 @@ _INT_MAX = 2147483647.0
 _PSD_SLACK = 1e-9
 """An eigenvalue may be this far below zero, in parts of the trace."""
 
+HEIGHT_MAX = 1e150
+"""Metres; heights beyond it, up or down, are out of bounds: their squares must be numbers."""
+
 _DENSITY_MIN, _DENSITY_MAX = 1e-140, 1e140
 """Weights per share within which W and W2 neither over- nor underflow."""
 
@@ -72,6 +75,7 @@ def _judge_place(
         & (g0 >= _INT_MIN)
         & (f1 <= _INT_MAX)
         & (g1 <= _INT_MAX)
+        & (abs(z) <= HEIGHT_MAX)
     )
     reason = np.uint8(_BOUNDS) if (before == 0) & (not inside) else np.uint8(before)
     finite = (abs(x) < math.inf) & (abs(y) < math.inf) & (abs(z) < math.inf)
@@ -168,6 +172,9 @@ def bound_ellipsoids(
     """
     k, least, widest = error
     floor = (least / k) * (least / k)
+    # Eigenvalues a little below zero are let through, in parts of the trace: raising them may widen a body of great
+    # height without bound. What it may be at most without that is what footprints have room for.
+    room = math.sqrt(widest * widest + least * least) * (1.0 + 1e-9)
     thin = np.int64(0)
     for n in range(BLOCK):
         xx, xy, xz, yy, yz, zz = _covariance(planes, n)
@@ -187,7 +194,8 @@ def bound_ellipsoids(
         ex = k * math.sqrt(xx)
         ey = k * math.sqrt(yy)
         density = a / (k * k * k * math.sqrt(q[n]))
-        before = judged[n] if (density > _DENSITY_MIN) & (density < _DENSITY_MAX) else np.uint8(_COVARIANCE)
+        good = (density > _DENSITY_MIN) & (density < _DENSITY_MAX) & ((max(ex, ey) <= room) | (judged[n] != 0))
+        before = judged[n] if good else np.uint8(_COVARIANCE)
         _bound(n, planes, reason, cells, ex, ey, before, a, area)
         product = xx * yy
         body[0, n] = ex

@@ -5,7 +5,7 @@ import numpy as np
 from roughmap.arrays import F8, I4, I8, U1, U8, Scalar
 from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT
 from roughmap.footprint import LEAST_SHARE, POINT, box_of, shares_of
-from roughmap.index import find, place_key, tile_key
+from roughmap.index import find, row_of, tile_key
 from roughmap.jit import inline, kernel
 from roughmap.memory import prefetch
 from roughmap.place import BLOCK
@@ -19,6 +19,12 @@ _EAST = _BYTES
 _NORTH = _ROW * _BYTES
 _ONE = np.uint64(1)
 _CORNER = np.uint64(TILE_SHIFT)
+
+
+@inline
+def _takes_part(p: Scalar, least: Scalar) -> Scalar:
+    """Whether a cell with share ``p`` of an odd point is written; the same wherever it is asked."""
+    return (p >= least) & (p > LEAST_SHARE)
 
 
 @kernel
@@ -48,16 +54,9 @@ def collect_odd(
                 for j in range(max(j0, v0, ty << _SHIFT), min(j1, v1, (ty << _SHIFT) + _MASK) + 1):
                     for i in range(max(i0, w0, tx << _SHIFT), min(i1, w1, (tx << _SHIFT) + _MASK) + 1):
                         p = shares[(j - j0) * ni + (i - i0)]
-                        touched |= p >= least and p > LEAST_SHARE
+                        touched |= _takes_part(p, least)
                 if touched:
-                    key = tile_key(tx, ty)
-                    row = find(table, keys, key)
-                    if row < 0:
-                        row = number
-                        keys[number] = key
-                        work[number] = 0
-                        place_key(table, key, number)
-                        number += 1
+                    row, number = row_of(table, keys, work, tile_key(tx, ty), number)
                     work[row] += 1
     return stop, number
 
@@ -91,7 +90,7 @@ def _enqueue_odd(
         line = np.uint64(j & _MASK)
         for i in range(i_low, i_high + 1):
             p = shares[(j - j0) * ni + (i - i0)]
-            taken = np.uint64((p >= least) & (p > LEAST_SHARE))
+            taken = np.uint64(_takes_part(p, least))
             column = np.uint64(i & _MASK)
             where = address + (line * _ROW + column) * _BYTES
             cell[count] = where

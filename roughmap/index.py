@@ -47,6 +47,19 @@ def place_key(table: I4, key: Scalar, entry: Scalar) -> None:
     table[place] = entry
 
 
+@inline
+def row_of(table: I4, keys: U8, work: I8, key: Scalar, number: Scalar) -> Scalar:
+    """The row of ``key`` among ``number``, a new one without work if it is not there; and how many there are then."""
+    row = find(table, keys, key)
+    if row < 0:
+        row = number
+        keys[number] = key
+        work[number] = 0
+        place_key(table, key, number)
+        number += 1
+    return row, number
+
+
 @kernel
 def rehash(table: I4, keys: U8, size: int) -> None:
     """Fill an emptied table with the first ``size`` keys."""

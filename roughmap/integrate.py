@@ -10,7 +10,7 @@ from roughmap.blocks import State
 from roughmap.cell import TILE_CELLS, TooManyTiles
 from roughmap.changes import mark_changed
 from roughmap.fused import collect_odd, update_tiles
-from roughmap.index import find, place_key
+from roughmap.index import find, row_of
 from roughmap.jit import kernel
 from roughmap.settings import Rules, Settings
 from roughmap.tiles import TileTable
@@ -45,13 +45,7 @@ def _find_all(table: I4, keys: U8, wanted: U8, entries: I4) -> None:
 def _merge(table: I4, keys: U8, work: I8, number: int, found: U8, points: I8, rows: I4) -> int:
     """Add a part's tiles to those of the parts before it; ``rows``: where each is. The number of tiles."""
     for n in range(len(found)):
-        row = find(table, keys, found[n])
-        if row < 0:
-            row = number
-            keys[number] = found[n]
-            work[number] = 0
-            place_key(table, found[n], number)
-            number += 1
+        row, number = row_of(table, keys, work, found[n], number)
         work[row] += points[n]
         rows[n] = row
     return number
@@ -137,7 +131,10 @@ def integrate(
 
     tx = (keys >> np.uint64(32)).astype(np.uint32).view(np.int32)
     ty = keys.astype(np.uint32).view(np.int32)
+    # All memory is taken before the first cell is written: what fails then has changed nothing.
     bits = np.zeros((number, TILE_CELLS), np.uint64)
+    order = np.lexsort((ty, tx))
+    changed = np.stack([tx[order], ty[order]], axis=1)
     table.open(entries[entries >= 0])
     entries[new] = table.insert(tx[new], ty[new], dense=work[new] >= _DENSE_POINTS)
     table.used[entries] = sequence
@@ -178,5 +175,4 @@ def integrate(
     table.digest_known[entries] = False
     for z, level in enumerate(table.levels):
         mark_changed(z, level.table, level.keys, level.sequence, tx, ty, bits, sequence)
-    order = np.lexsort((ty, tx))
-    return np.stack([tx[order], ty[order]], axis=1), int(newest.max(initial=0))
+    return changed, int(newest.max(initial=0))

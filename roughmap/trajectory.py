@@ -278,7 +278,7 @@ class Trajectory:
         if stamps.dtype.kind == "u" and int(stamps.max()) > np.iinfo(np.int64).max:
             raise ValueError("Trajectory.stamp_ns: expected integers of 64 bits, signed")
         stamps = np.array(stamps, np.int64)
-        if stamps.min() < -_STAMP_LIMIT or stamps.max() > _STAMP_LIMIT:
+        if stamps.min() <= -_STAMP_LIMIT or stamps.max() >= _STAMP_LIMIT:  # or a difference may overflow
             raise ValueError("Trajectory.stamp_ns: expected stamps within 2^62 ns of the epoch")
         if (stamps[1:] <= stamps[:-1]).any():
             raise ValueError("Trajectory.stamp_ns: expected strictly rising stamps")

@@ -2,7 +2,7 @@
 
 import weakref
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,9 @@ from roughmap.update import QUEUE, RUN
 
 _KEPT_POINTS = 1 << 18
 """Planes for more points than this (some 35 MB) are given back after the call that needed them."""
+
+_KEPT_TILES = 1 << 16
+"""A larger table of touched tiles is given back by the next call: it would be emptied anew for every scan."""
 
 _POINTS_A_THREAD = 2048
 """Fewer are not worth a thread."""
@@ -99,12 +102,15 @@ class Touched:
     """
 
     def __init__(self) -> None:
-        self.table = np.full(1024, -1, np.int32)
-        self.keys = np.zeros(512, np.uint64)
-        self.work = np.zeros(512, np.int64)
+        self._begin()
         self.number = 0
         self.runs = 0
         self.rejected = np.zeros(len(PointReason), np.int64)
+
+    def _begin(self) -> None:
+        self.table = np.full(1024, -1, np.int32)
+        self.keys = np.zeros(512, np.uint64)
+        self.work = np.zeros(512, np.int64)
 
     @property
     def arrays(self) -> tuple[I4, U8, I8, I8]:
@@ -112,7 +118,9 @@ class Touched:
         return self.table, self.keys, self.work, self.rejected
 
     def clear(self) -> None:
-        """Forget all."""
+        """Forget all, and give back what a scan over very many tiles took."""
+        if len(self.table) > _KEPT_TILES:
+            self._begin()
         self.table[:] = -1
         self.number = 0
         self.rejected[:] = 0
@@ -186,8 +194,9 @@ class Workspace:
         try:
             task(0, self._scratch[0])
         finally:
-            for other in others:
-                other.result()
+            wait(others)  # all of them, also if one fails: none may work on while the next scan begins
+        for other in others:
+            other.result()
 
     def close(self) -> None:
         """End the threads; they begin anew when they are needed."""

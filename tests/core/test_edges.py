@@ -1,5 +1,6 @@
 """Where the map ends: 32-bit cell numbers, `bounds`, huge coordinates; and what that does to footprints."""
 
+import threading
 from math import inf, nextafter
 
 import numpy as np
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 from strategies import MODELS, WEIGHTED, cell_boxes, cells_of
 
 from roughmap import RoughMap
+from roughmap.workspace import Workspace
 
 TOP, BOTTOM = 2.0**31, -(2.0**31)
 SMALL = np.eye(3) * 1e-6
@@ -140,3 +142,40 @@ def test_heights_of_any_size() -> None:
     assert float(cells[0, 0]["mean"]) == 1e150
     assert float(cells[1, 0]["mean"]) == 0.0
     assert (float(cells[1, 0]["min"]), float(cells[1, 0]["max"])) == (-1e150, 1e150)
+
+
+@pytest.mark.parametrize("height", [1e4, 1e6, 1e9, 1e12, 1e20, 1e100])
+def test_a_body_that_raising_widens_is_no_covariance(height: float) -> None:
+    """Eigenvalues down to -1e-9 of the trace are let through; raised, they widen what stands high without bound."""
+    m = RoughMap(error_model="ellipsoid", threads=1)
+    S = np.diag([0.01, 0.01, height])
+    S[0, 2] = np.sqrt((0.01 + 0.9e-9 * height) * height)
+    report = m.add(np.array([[1.0, 1.0, 0.0]]), S)
+    assert report.accepted + report.rejected.get("covariance", 0) == 1
+    assert report.accepted == (height < 1e7)
+    cells = [i for i, _ in cells_of(m)]
+    assert not cells or max(cells) - min(cells) < m.settings.side
+
+
+def test_a_part_that_fails_leaves_no_other_at_work() -> None:
+    """The next scan begins on the same memory."""
+    entered, leave = threading.Event(), threading.Event()
+    working = []
+
+    def task(part: int, _: object) -> None:
+        if part == 1:
+            raise MemoryError
+        if part == 2:
+            working.append(part)
+            entered.set()
+            assert leave.wait(20)
+            working.remove(part)
+        else:
+            assert entered.wait(20)
+            threading.Timer(0.05, leave.set).start()
+
+    space = Workspace(3, 4)
+    with pytest.raises(MemoryError):
+        space.run(3, task)
+    assert not working
+    space.close()
