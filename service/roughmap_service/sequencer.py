@@ -218,7 +218,7 @@ class Sequencer:
     def _turn_away(self) -> None:
         """A turn while a reset waits for a log that can't be written: what came in is refused, commands wait."""
         self.turned = time.monotonic()
-        messages, commands = self._intake.take(0.0)
+        messages, commands = self._intake.take(0.0)[:2]
         for message in messages:
             self._refuse(message, self._log_fault())
         for command in commands:
@@ -267,7 +267,7 @@ class Sequencer:
         turn: so that a recording may be fed faster than it was made. It must come before the pose is logged, since a
         replay, too, forgets old poses at that place."""
         horizon = stamp_ns - self.state.settings.history_ns
-        while any(cloud.first_ns < horizon for cloud in self.inbox.queues.get(robot, ())):
+        while self.inbox.holds_before(robot, horizon):
             if not self._decide():
                 return
 
