@@ -117,6 +117,8 @@ class ZenohConfig(Section):
     listen: Endpoints = ["tcp/127.0.0.1:7447"]
     connect: Endpoints = []
     scouting: bool = False
+    shared_memory: bool = False
+    """Messages of this machine by shared memory; for each process that ever sent one, Zenoh keeps 17 MiB."""
     config_file: Annotated[str | None, MaybeNone] = None
     authority: Annotated[str | None, MaybeNone] = None
     """PEM file of the authority whose certificates are trusted; with it, whoever connects must have one."""

@@ -38,6 +38,7 @@ def zenoh_config(loaded: LoadedConfig) -> zenoh.Config:
         ("listen", "listen/endpoints", list(settings.listen)),
         ("connect", "connect/endpoints", list(settings.connect)),
         ("scouting", "scouting/multicast/enabled", settings.scouting),
+        ("shared_memory", "transport/shared_memory/enabled", settings.shared_memory),
     ]
     if settings.mode == "peer":  # a router needs gossip to know which peers don't reach each other
         entries.append(("scouting", "scouting/gossip/enabled", settings.scouting))

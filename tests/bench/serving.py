@@ -32,7 +32,8 @@ def configuration(folder: Path, more: str = "") -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "roughmap.toml"
     path.write_text(
-        f'[map]\nname = "{MAP}"\n[zenoh]\nlisten = ["tcp/127.0.0.1:0"]\n[log]\ndirectory = "{folder / "log"}"\n'
+        f'[map]\nname = "{MAP}"\n[zenoh]\nlisten = ["tcp/127.0.0.1:0"]\nshared_memory = true\n'
+        f'[log]\ndirectory = "{folder / "log"}"\n'
         f'[http]\nlisten = ""\n[input]\nmax_wait = 10.0\n'
         f"[sensors.{SENSOR}]\nrange_sigma = {NOISE.range_sigma}\nbeam_sigma = {NOISE.beam_sigma}\n{more}"
     )

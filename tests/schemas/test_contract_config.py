@@ -34,6 +34,7 @@ DEFAULTS = {
         "listen": ["tcp/127.0.0.1:7447"],
         "connect": [],
         "scouting": False,
+        "shared_memory": False,
         "config_file": None,
         "authority": None,
         "certificate": None,
