@@ -74,16 +74,26 @@ class AnswerQueue:
             return len(self._waiting)
 
     def submit(self, cells: int, run: Callable[[], None], refuse: Callable[[QueryFault], None]) -> None:
-        """Takes a job in; raises ``QueryFault`` (``busy``, ``shutting_down``) at once if it can't."""
+        """Takes a job in; raises ``QueryFault`` (``busy``, ``shutting_down``) at once if it can't.
+
+        Where too many wait, the last of them goes: a small job takes the place of a large one.
+        """
+        busy = QueryFault(QueryCode.BUSY, f"{self._limit} queries are waiting already; ask again later")
+        last = None
         with self._condition:
             if self._closed:
                 raise QueryFault(QueryCode.SHUTTING_DOWN, "the service is shutting down")
-            if len(self._waiting) >= self._limit:
-                raise QueryFault(QueryCode.BUSY, f"{self._limit} queries are waiting already; ask again later")
             self._number += 1
-            bisect.insort(self._waiting, _Waiting(self._number + cells // CELLS_A_PLACE, cells, run, refuse))
+            job = _Waiting(self._number + cells // CELLS_A_PLACE, cells, run, refuse)
+            if len(self._waiting) >= self._limit:
+                if not self._waiting or self._waiting[-1] <= job:
+                    raise busy
+                last = self._waiting.pop()
+            bisect.insort(self._waiting, job)
             # Any worker may take a small one; to wake them all costs as much as a small answer.
             self._condition.notify(1 if cells <= SMALL_CELLS else len(self._threads))
+        if last is not None:
+            last.refuse(busy)
 
     def close(self, timeout: float = 2.0) -> None:
         """Has what waits refused (``shutting_down``), and waits at most ``timeout`` seconds for that and for what runs.

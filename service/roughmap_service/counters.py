@@ -13,7 +13,11 @@ LAG_WINDOW = 10.0
 """Seconds over which lag and rates are told (the design's)."""
 
 OVERLOAD_SECONDS = 2.0
-"""So long after the last cloud dropped for want of room the service still counts as overloaded."""
+"""An overload begins when a message is dropped or turned away for want of room. It ends when for so long none was, and
+no cloud came into the map late."""
+
+LATE_SECONDS = 1.0
+"""A cloud is late past `input.max_wait` and this after its arrival: it waited for other clouds then, not for poses."""
 
 LAG_SAMPLES = 4096
 """At most so many clouds are remembered for the lag: 400 a second over the window."""
@@ -72,10 +76,11 @@ class Counts:
 class Counters:
     """Counters that any thread may raise and read; every change is one short hold of one lock."""
 
-    def __init__(self) -> None:
+    def __init__(self, max_wait: float = 0.0) -> None:
         self._lock = threading.Lock()
         self._counts = Counts()
-        self._last_overload = float("-inf")
+        self._late = max_wait + LATE_SECONDS
+        self._overloaded_until = float("-inf")
         self._recent: deque[tuple[float, float, int]] = deque(maxlen=LAG_SAMPLES)
         self._recent_poses: deque[float] = deque(maxlen=RATE_SAMPLES)
 
@@ -85,17 +90,19 @@ class Counters:
         """One decided cloud; ``arrival`` is its monotonic time in seconds (None: taken up again after a restart),
         ``seconds`` how long its integration took."""
         with self._lock:
+            now = time.monotonic()
             if outcome == "integrated":
                 self._counts.clouds_accepted += 1
                 self._counts.integration.add(seconds)
-                now = time.monotonic()
                 if arrival is not None:
                     self._counts.lag.add(now - arrival)
+                    if now - arrival > self._late and now < self._overloaded_until:
+                        self._overloaded_until = now + OVERLOAD_SECONDS
                 self._recent.append((now, now - (arrival if arrival is not None else now), accepted))
             else:
                 self._counts.clouds_rejected[outcome] += 1
                 if outcome == "overload":
-                    self._last_overload = time.monotonic()
+                    self._overloaded_until = now + OVERLOAD_SECONDS
             self._counts.points_accepted += accepted
             self._counts.points_rejected.update(rejected)
 
@@ -113,7 +120,7 @@ class Counters:
         with self._lock:
             self._counts.refused[code] += 1
             if code == "busy":
-                self._last_overload = time.monotonic()
+                self._overloaded_until = time.monotonic() + OVERLOAD_SECONDS
 
     def gap(self, robot: str, missing: int) -> None:
         """``missing`` messages of a robot were lost on the way here."""
@@ -147,9 +154,9 @@ class Counters:
 
     @property
     def overloaded(self) -> bool:
-        """Clouds were dropped for want of room within the last seconds."""
+        """Whether more comes in than can be integrated, or did until a moment ago (`OVERLOAD_SECONDS`)."""
         with self._lock:
-            return time.monotonic() - self._last_overload < OVERLOAD_SECONDS
+            return time.monotonic() < self._overloaded_until
 
     def _window(self) -> list[tuple[float, float, int]]:
         since = time.monotonic() - LAG_WINDOW

@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 
 from roughmap_schemas import Cloud, CloudReason
@@ -13,7 +12,7 @@ from .settings import Settings
 INTEGRATED = "integrated"
 
 
-@dataclass(frozen=True, slots=True, eq=False)  # one is itself alone: queues look for it among thousands
+@dataclass(frozen=True, slots=True)
 class WaitingCloud:
     """A logged cloud without a decision. ``arrival`` in monotonic seconds. A ``promised`` one was acknowledged, or
     waited over a restart: it never ends for want of room."""
@@ -37,40 +36,6 @@ class Decision:
     poses: tuple[Pose, ...] = ()
 
 
-@dataclass(slots=True)
-class RobotQueue:
-    """One robot's clouds in order of arrival, with what is asked at every message at hand: there may be thousands."""
-
-    clouds: deque[WaitingCloud] = field(default_factory=deque)
-    size: int = 0
-    _rising: deque[WaitingCloud] = field(default_factory=deque)  # those behind which none is earlier
-
-    @property
-    def earliest_ns(self) -> int:
-        """The smallest time of a point in any of them, in ns."""
-        return self._rising[0].first_ns
-
-    def append(self, cloud: WaitingCloud) -> None:
-        """Take a cloud in."""
-        self.clouds.append(cloud)
-        self.size += cloud.size
-        while self._rising and self._rising[-1].first_ns > cloud.first_ns:
-            self._rising.pop()
-        self._rising.append(cloud)
-
-    def remove(self, cloud: WaitingCloud) -> None:
-        """Let it go; mostly it is the first."""
-        self.size -= cloud.size
-        if self.clouds[0] is cloud:
-            self.clouds.popleft()
-            if self._rising[0] is cloud:
-                self._rising.popleft()
-        else:
-            self.clouds.remove(cloud)
-            with suppress(ValueError):
-                self._rising.remove(cloud)
-
-
 @dataclass
 class Inbox:
     """Clouds in order of arrival a robot; robots don't wait for each other.
@@ -81,15 +46,14 @@ class Inbox:
 
     settings: Settings
     poses: Mapping[str, PoseBuffer]
-    queues: dict[str, RobotQueue] = field(default_factory=dict)
+    queues: dict[str, deque[WaitingCloud]] = field(default_factory=dict)
     ended: deque[Decision] = field(default_factory=deque)
     size: int = 0
 
     @property
     def waiting(self) -> int:
         """Clouds without a decision."""
-        queues = list(self.queues.values())  # a copy: the status asks from its own thread
-        return sum(len(queue.clouds) for queue in queues)
+        return sum(len(queue) for queue in list(self.queues.values()))  # a copy: the status asks from its own thread
 
     def has_room(self, size: int) -> bool:
         """Whether a cloud of ``size`` bytes fits without ending another; one alone does, which may hold more than its
@@ -98,7 +62,7 @@ class Inbox:
 
     def feed(self, cloud: WaitingCloud) -> None:
         """A cloud was logged. Past the limit the oldest published cloud of the robot that holds most ends."""
-        self.queues.setdefault(cloud.robot, RobotQueue()).append(cloud)
+        self.queues.setdefault(cloud.robot, deque()).append(cloud)
         self.size += cloud.size
         while self.size > self.settings.queue_limit and self.size > cloud.size:
             victim = self._victim()
@@ -108,21 +72,19 @@ class Inbox:
 
     def clock_reset(self, robot: str) -> None:
         """The robot's clock was set back: what waits for the old clock's poses waits in vain."""
-        while robot in self.queues:
-            self._end(self.queues[robot].clouds[0], CloudReason.CLOCK_RESET)
-
-    def holds_before(self, robot: str, stamp_ns: int) -> bool:
-        """Whether a cloud of the robot waits that has a point before that time."""
-        return robot in self.queues and self.queues[robot].earliest_ns < stamp_ns
+        for cloud in list(self.queues.get(robot, ())):
+            self._end(cloud, CloudReason.CLOCK_RESET)
 
     def tick(self, now: float) -> Decision | None:
-        """The next decision at monotonic time ``now``, or None. Of several robots' clouds the oldest comes first."""
+        """The next decision at monotonic time ``now``, or None. Robots take turns, so that none waits behind all that
+        another one sent."""
         if self.ended:
             return self.ended.popleft()
-        for cloud in sorted((queue.clouds[0] for queue in self.queues.values()), key=lambda c: c.input):
-            decision = self._judge(cloud, now)
+        for robot, queue in self.queues.items():
+            decision = self._judge(queue[0], now)
             if decision is not None:
-                self._remove(cloud)
+                self.queues[robot] = self.queues.pop(robot)  # behind the others
+                self._remove(decision.cloud)
                 return decision
         return None
 
@@ -132,11 +94,11 @@ class Inbox:
             return 0.0
         if not self.queues:
             return None
-        return min(queue.clouds[0].arrival for queue in self.queues.values()) + self.settings.max_wait
+        return min(queue[0].arrival for queue in self.queues.values()) + self.settings.max_wait
 
     def oldest_input(self) -> int | None:
         """The smallest input number without a decision: the low-water position."""
-        waiting = [cloud.input for queue in self.queues.values() for cloud in queue.clouds]
+        waiting = [cloud.input for queue in self.queues.values() for cloud in queue]
         waiting += [decision.cloud.input for decision in self.ended]
         return min(waiting, default=None)
 
@@ -159,8 +121,9 @@ class Inbox:
         return None
 
     def _victim(self) -> WaitingCloud | None:
-        for queue in sorted(self.queues.values(), key=lambda queue: queue.size, reverse=True):
-            for cloud in queue.clouds:
+        held = {robot: sum(cloud.size for cloud in queue) for robot, queue in self.queues.items()}
+        for robot in sorted(held, key=lambda name: held[name], reverse=True):
+            for cloud in self.queues[robot]:
                 if not cloud.promised:
                     return cloud
         return None
@@ -171,7 +134,10 @@ class Inbox:
 
     def _remove(self, cloud: WaitingCloud) -> None:
         queue = self.queues[cloud.robot]
-        queue.remove(cloud)
-        if not queue.clouds:
+        if queue[0] is cloud:
+            queue.popleft()
+        else:
+            queue.remove(cloud)
+        if not queue:
             del self.queues[cloud.robot]
         self.size -= cloud.size

@@ -3,9 +3,10 @@
 import logging
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import islice
 from types import TracebackType
 from typing import Self
 
@@ -25,7 +26,6 @@ LEAST_COST = 256
 
 MAX_NUMBERED = 10_000
 """Streams (a robot's messages of a kind) whose gaps are counted."""
-
 
 MAX_GAP = 1 << 32
 """A number that leaps further tells of no loss, but of another count."""
@@ -53,19 +53,48 @@ Command = Callable[[], None]
 """Something that is to be done between two inputs, in the sequencer's thread."""
 
 
+TURN_MESSAGES = 512
+"""So many messages are taken at a time, of each robot as many as of the others, if more are there: what one floods with
+holds up nobody else for longer than these take, a tenth of a second."""
+
+
+@dataclass
+class _Held:
+    """What one robot has queued, by number; bytes of its clouds; numbers of its published clouds and of its poses."""
+
+    items: dict[int, InputMessage] = field(default_factory=dict)
+    size: int = 0
+    clouds: deque[int] = field(default_factory=deque)
+    poses: deque[int] = field(default_factory=deque)
+
+    def take(self, most: int) -> list[tuple[int, InputMessage]]:
+        """The first ``most``, taken out."""
+        taken = list(islice(self.items.items(), most))
+        for number, message in taken:
+            del self.items[number]
+            if message.kind is Kind.POINTS:
+                self.size -= _cost(message)
+            for numbers in (self.clouds, self.poses):
+                if numbers and numbers[0] == number:
+                    numbers.popleft()
+        return taken
+
+
 @dataclass
 class Intake:
-    """A bounded queue. When clouds fill it, the oldest published one of the robot that holds most is dropped; no pose
-    is ever dropped for a cloud's sake, and an ingested message is answered ``busy`` instead.
+    """A bounded queue, so that whoever floods it drops what is its own.
+
+    When clouds fill it, the oldest published one of the robot that holds most is dropped, and an ingested one is
+    answered ``busy`` instead; when poses and transforms do, the newest of the robot that holds most of these. No pose
+    is ever dropped for a cloud's sake.
     """
 
     limit: int
     counters: Counters
     pose_limit: int = 10_000
-    _items: deque[InputMessage] = field(default_factory=deque)
     _commands: deque[Command] = field(default_factory=deque)
-    _held: Counter[str] = field(default_factory=Counter)
-    _poses: int = 0
+    _robots: dict[str, _Held] = field(default_factory=dict)
+    _number: int = 0
     _wake: threading.Condition = field(default_factory=threading.Condition)
     closed: bool = False
 
@@ -73,7 +102,7 @@ class Intake:
     def held(self) -> int:
         """Bytes of the clouds that are queued."""
         with self._wake:
-            return self._held.total()
+            return self._size()
 
     def put(self, message: InputMessage) -> None:
         """Queue a message, or drop one and count it."""
@@ -92,16 +121,20 @@ class Intake:
             self._commands.append(command)
             self._wake.notify()
 
-    def take(self, timeout: float) -> tuple[list[InputMessage], list[Command]]:
-        """All that is queued, after waiting at most ``timeout`` s for something."""
+    def take(self, timeout: float) -> tuple[list[InputMessage], list[Command], float]:
+        """What is queued, at most `TURN_MESSAGES`, after waiting at most ``timeout`` s for something; and the monotonic
+        time up to which all that arrived has been taken."""
         with self._wake:
-            self._wake.wait_for(lambda: self._items or self._commands or self.closed, timeout)
-            items, commands = list(self._items), list(self._commands)
-            self._items.clear()
+            self._wake.wait_for(lambda: self._robots or self._commands or self.closed, timeout)
+            commands = list(self._commands)
             self._commands.clear()
-            self._held.clear()
-            self._poses = 0
-            return items, commands
+            share = max(TURN_MESSAGES, sum(len(held.items) for held in self._robots.values()))
+            if share > TURN_MESSAGES:
+                share = TURN_MESSAGES // len(self._robots) or 1
+            taken = sorted(item for held in self._robots.values() for item in held.take(share))
+            self._robots = {robot: held for robot, held in self._robots.items() if held.items}
+            left = [next(iter(held.items.values())).arrival for held in self._robots.values()]
+            return [message for _, message in taken], commands, min(left, default=time.monotonic())
 
     def close(self) -> None:
         """Let nothing more in; what is queued can still be taken."""
@@ -114,29 +147,40 @@ class Intake:
         if self.closed:
             return [message]
         if message.kind is not Kind.POINTS:
-            if self._poses >= self.pose_limit:
-                return [message]
-            self._poses += 1
-            self._items.append(message)
-            return []
+            self._queue(message).poses.append(self._number)
+            if sum(len(held.poses) for held in self._robots.values()) <= self.pose_limit:
+                return []
+            held = max(self._robots.values(), key=lambda held: len(held.poses))
+            return [held.items.pop(held.poses.pop())]
         dropped: list[InputMessage] = []
-        while self._held.total() + _cost(message) > self.limit and self._held.total():
-            oldest = None if message.reply is not None else self._oldest_of_the_largest()
+        while self._size() + _cost(message) > self.limit and self._size():
+            oldest = None if message.reply is not None else self._drop_of_the_largest()
             if oldest is None:
                 return [*dropped, message]
-            self._items.remove(oldest)
-            self._held[oldest.robot] -= _cost(oldest)
             dropped.append(oldest)
-        self._held[message.robot] += _cost(message)
-        self._items.append(message)
+        held = self._queue(message)
+        held.size += _cost(message)
+        if message.reply is None:
+            held.clouds.append(self._number)
         return dropped
 
-    def _oldest_of_the_largest(self) -> InputMessage | None:
-        for robot, _ in self._held.most_common():
-            for item in self._items:
-                if item.kind is Kind.POINTS and item.robot == robot and item.reply is None:
-                    return item
-        return None
+    def _size(self) -> int:
+        return sum(held.size for held in self._robots.values())
+
+    def _queue(self, message: InputMessage) -> _Held:
+        self._number += 1
+        held = self._robots.setdefault(message.robot, _Held())
+        held.items[self._number] = message
+        return held
+
+    def _drop_of_the_largest(self) -> InputMessage | None:
+        """The oldest published cloud of the robot that holds most, taken out; None where all are ingested ones."""
+        held = max((held for held in self._robots.values() if held.clouds), key=lambda held: held.size, default=None)
+        if held is None:
+            return None
+        oldest = held.items.pop(held.clouds.popleft())
+        held.size -= _cost(oldest)
+        return oldest
 
 
 def _cost(message: InputMessage) -> int:

@@ -24,10 +24,9 @@ from roughmap_schemas import (
     encode_event,
 )
 
-from .admission import admit
 from .apply import RunState, span
 from .counters import Counters
-from .fold import Content
+from .fold import Content, decode
 from .inbox import Decision, Inbox, WaitingCloud
 from .ingest import Duplicates
 from .intake import InputMessage, Intake
@@ -39,6 +38,9 @@ from .settings import NS
 from .view import View
 
 log = logging.getLogger(__name__)
+
+BREATH = 64
+"""After so many messages a cloud is decided, though more are there: else a flood of them would stop the map."""
 
 IDLE_SECONDS = 0.5
 """The longest the sequencer sleeps: deadlines come earlier by themselves, this bounds what else may be due."""
@@ -99,6 +101,9 @@ class Sequencer:
         self._next_checkpoint = time.monotonic() + intervals.checkpoint
         self._next_snapshot = time.monotonic() + intervals.snapshot
         self._stopping = threading.Event()
+        self._heard = time.monotonic()
+        """All that came in until then is taken up: the inbox's clock, so that no cloud ends for want of poses that
+        only wait behind it."""
         self.turned = time.monotonic()
         """When it last began a turn: whoever asks whether it still works looks at this."""
         self.failure: BaseException | None = None
@@ -145,30 +150,22 @@ class Sequencer:
 
         self._intake.command(run)
         if not done.wait(timeout):
-            if not self._writer.ok:
-                raise self._log_fault("; what was asked for may still be done when it can")
             raise ShuttingDown("the sequencer did not come to it in time")
         if raised:
             raise raised[0]
 
     def reset(self) -> tuple[int, int]:
         """Empty the map: a new epoch, durable before anyone sees it; (sequence, epoch) that begin with it. Call it
-        through `call`.
-
-        Once it is logged it comes before all else, however long the disk takes: if the log fails meanwhile, messages
-        are refused as always then, and nothing is decided or stored.
-        """
+        through `call`."""
         event = ResetEvent(epoch=self.state.epoch + 1, sequence=self.state.map.sequence + 1)
         if not self._writer.wait_room(IDLE_SECONDS):
-            raise self._log_fault()
+            raise MessageFault(Refusal.LOG_UNAVAILABLE, "the log can't be written")
         self._log_event(event)
         synced = threading.Event()
         self._writer.put(Sync(synced.set))
         while not synced.wait(IDLE_SECONDS):
             if self._stopping.is_set():
                 break  # nobody sees the map any more; what is logged behind the reset must be of the emptied one
-            if not self._writer.ok:
-                self._turn_away()
         with self.view.change() as rough_map:
             self._before_reset(rough_map)
             self.state.apply(event)
@@ -193,14 +190,15 @@ class Sequencer:
     def _turn(self, timeout: float) -> bool:
         """One turn; True if it found something to do."""
         self.turned = time.monotonic()
-        messages, commands = self._intake.take(timeout)
-        for message in messages:
+        messages, commands, heard = self._intake.take(timeout)
+        for number, message in enumerate(messages, 1):
             self._accept(message)
+            if number % BREATH == 0:
+                self._advance()
+        self._heard = heard
         for command in commands:
             command()
-        while self.inbox.ended and self._decide():
-            pass  # what only has to be told costs nothing, and must not pile up behind what has to be placed
-        decided = self._decide()
+        decided = self._advance()
         if not decided and not messages:  # readers and queues take memory too
             self._memory.relieve(self.view.reading)
         now = time.monotonic()
@@ -214,16 +212,6 @@ class Sequencer:
             self._take_snapshot()
             self._next_snapshot = now + self._intervals.snapshot
         return bool(messages) or bool(commands) or decided
-
-    def _turn_away(self) -> None:
-        """A turn while a reset waits for a log that can't be written: what came in is refused, commands wait."""
-        self.turned = time.monotonic()
-        messages, commands = self._intake.take(0.0)[:2]
-        for message in messages:
-            self._refuse(message, self._log_fault())
-        for command in commands:
-            self._intake.command(command)
-        self._memory.relieve(self.view.reading)
 
     def _wait_seconds(self) -> float:
         now = time.monotonic()
@@ -243,11 +231,11 @@ class Sequencer:
             if first is not None:
                 self._acknowledge(message, first, duplicate=True)
                 return
-            if not self._writer.ok:
-                raise self._log_fault()
-            content = admit(message, self.state.settings, self._robots, self.inbox)
+            content = self._check(message)
         except MessageFault as fault:
-            self._refuse(message, fault)
+            self._counters.refuse(fault.code)
+            if message.reply is not None:
+                message.reply.refuse(fault)
             return
         if isinstance(content, Odometry):
             self._make_way(message.robot, content.stamp_ns)
@@ -267,17 +255,43 @@ class Sequencer:
         turn: so that a recording may be fed faster than it was made. It must come before the pose is logged, since a
         replay, too, forgets old poses at that place."""
         horizon = stamp_ns - self.state.settings.history_ns
-        while self.inbox.holds_before(robot, horizon):
+        while any(cloud.first_ns < horizon for cloud in self.inbox.queues.get(robot, ())):
             if not self._decide():
                 return
 
-    def _log_fault(self, more: str = "") -> MessageFault:
-        return MessageFault(Refusal.LOG_UNAVAILABLE, f"the log can't be written: {self._writer.error}{more}")
+    def _check(self, message: InputMessage) -> Content:
+        """Decode, and hold against the configuration what the bytes alone don't tell."""
+        if not self._writer.ok:
+            raise MessageFault(Refusal.LOG_UNAVAILABLE, f"the log can't be written: {self._writer.error}")
+        robots = self.state.settings.config.input.robots
+        if robots and message.robot not in robots:
+            raise MessageFault(Refusal.UNKNOWN_ROBOT, f"robot {message.robot!r} is not among input.robots")
+        if (
+            not robots
+            and message.robot not in self._robots
+            and len(self._robots) >= (most := self.state.settings.max_robots)
+        ):
+            raise MessageFault(
+                Refusal.UNKNOWN_ROBOT, f"{most} robots are known (input.max_robots); name yours in input.robots"
+            )
+        try:
+            content = decode(message.kind, message.payload, self.state.settings)
+        except MemoryError:
+            raise MessageFault(Refusal.BUSY, "there is no memory to decode the message; try again") from None
+        if isinstance(content, Cloud):
+            self._check_cloud(message, content)
+        return content
 
-    def _refuse(self, message: InputMessage, fault: MessageFault) -> None:
-        self._counters.refuse(fault.code)
-        if message.reply is not None:
-            message.reply.refuse(fault)
+    def _check_cloud(self, message: InputMessage, cloud: Cloud) -> None:
+        settings = self.state.settings
+        if cloud.frame_id != settings.frame_id and settings.sensor(message.robot, cloud.frame_id) is None:
+            raise MessageFault(
+                Refusal.UNKNOWN_SENSOR,
+                f"frame {cloud.frame_id!r} is neither the map's ({settings.frame_id!r}) nor a configured sensor "
+                f"([sensors.{cloud.frame_id}])",
+            )
+        if message.reply is not None and not self.inbox.has_room(cloud.held_bytes):
+            raise MessageFault(Refusal.BUSY, "clouds wait for their poses up to input.queue_limit; try again")
 
     def _take_up(self, number: int, message: InputMessage, content: Content) -> None:
         if isinstance(content, Cloud):
@@ -314,11 +328,17 @@ class Sequencer:
         reply = message.reply
         self._writer.put(Sync(lambda: reply.receipt(receipt)))
 
+    def _advance(self) -> bool:
+        """Decide a cloud, if one can be; all that only has to be told comes before it: it must not pile up behind."""
+        while self.inbox.ended and self._decide():
+            pass
+        return self._decide()
+
     def _decide(self) -> bool:
         """Decide at most one cloud; none while the log can't be written."""
         if not self._writer.wait_room(0.0):
             return False
-        decision = self.inbox.tick(time.monotonic())
+        decision = self.inbox.tick(self._heard)
         if decision is None:
             return False
         proposal = _proposal(decision, self.state)

@@ -140,7 +140,8 @@ def _run(
     state, run = recovered.state, recovered.run or uuid.uuid4().hex
     state.epoch = recovered.epoch
     identity = Identity(config.map.name, run, instance, configuration_digest(config), config.map.frame_id)
-    counters, view, emptied = Counters(), View(state.map, recovered.epoch), Emptied(config.map.max_tiles)
+    counters = Counters(config.input.max_wait)
+    view, emptied = View(state.map, recovered.epoch), Emptied(config.map.max_tiles)
     ending, whole = Ending(config.service.shutdown_timeout), True
     with ExitStack() as stack:
         replies = Replies()

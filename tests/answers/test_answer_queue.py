@@ -125,3 +125,20 @@ def test_too_many_are_busy_and_none_after_the_end() -> None:
         assert {name for name, _ in jobs.refused} == {"waits", "waits too"}
         with pytest.raises(QueryFault, match="shutting_down"):
             jobs.add("late", 1)
+
+
+def test_where_too_many_wait_a_small_one_takes_the_place_of_a_large_one() -> None:
+    """So that a client which asks for everything in a loop turns itself away and not a planner."""
+    with AnswerQueue("t", 1, 3, 10**9) as queue:
+        jobs = Jobs(queue)
+        jobs.add("first", 1, held=True)
+        jobs.wait("first")
+        for name in ("a", "b", "c"):
+            jobs.add(name, 20 * CELLS_A_PLACE)
+        with pytest.raises(QueryFault, match="busy"):
+            jobs.add("d", 20 * CELLS_A_PLACE)
+        jobs.add("small", 1)
+        assert jobs.refused == [("c", "busy")]
+        jobs.let["first"].set()
+        jobs.wait("b")
+    assert jobs.order == ["first", "small", "a", "b"]

@@ -44,7 +44,7 @@ class Door:
 
     def taken(self) -> list[tuple[str, str, int]]:
         """(kind, robot, mark) of what is queued."""
-        messages, _ = self.intake.take(0.0)
+        messages, _, _ = self.intake.take(0.0)
         return [(message.kind.value, message.robot, message.payload[0]) for message in messages]
 
 
@@ -81,6 +81,33 @@ def test_a_pose_never_goes_for_a_clouds_sake(door: Door) -> None:
     door.settle()
     assert door.taken() == [("odometry", "a", 1), ("points", "a", 8), ("transform", "a", 9)]
     assert door.counters.snapshot().refused["busy"] == 6
+
+
+def test_who_floods_poses_drops_its_own(door: Door) -> None:
+    door.intake.pose_limit = 4
+    for robot, mark in (("loud", 1), ("quiet", 2), ("loud", 3), ("loud", 4), ("loud", 5), ("quiet", 6), ("loud", 7)):
+        door.put("odometry", robot, 10, mark)
+    assert door.refused("maps/site/ingest/loud/odometry", 10) == "busy"
+    assert door.taken() == [("odometry", "loud", 1), ("odometry", "quiet", 2), ("odometry", "loud", 3),
+                            ("odometry", "quiet", 6)]  # fmt: skip
+    assert door.counters.snapshot().refused["busy"] == 4
+
+
+def test_of_a_flood_each_robot_gets_its_share_taken(door: Door, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the time up to which all was heard is that of what is left."""
+    monkeypatch.setattr("roughmap_service.intake.TURN_MESSAGES", 4)
+    for mark in range(1, 7):
+        door.put("odometry", "loud", 10, mark)
+    for mark in (7, 8):
+        door.put("points", "quiet", 10, mark)
+    door.settle()
+    messages, _, heard = door.intake.take(0.0)
+    assert [message.payload[0] for message in messages] == [1, 2, 7, 8]
+    assert heard < messages[-1].arrival
+    messages, _, heard = door.intake.take(0.0)
+    assert [message.payload[0] for message in messages] == [3, 4, 5, 6]
+    assert heard > messages[-1].arrival
+    assert door.intake.take(0.0)[0] == []
 
 
 def test_a_request_is_told_busy_and_drops_nobody(door: Door) -> None:
