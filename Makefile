@@ -6,7 +6,7 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check audit bench bench-peers faults fuzz schemas lock image container-test clean
+.PHONY: help setup demo test check audit bench bench-peers faults fuzz soak overload schemas lock image container-test clean
 
 help:  ## this list
 	@echo "make TARGET, where TARGET is:"
@@ -52,6 +52,12 @@ faults: $(READY)  ## kills, power cuts, full disks, damage, bad links: what a se
 fuzz: $(READY)  ## any bytes to every reader of bytes, guided by coverage; ARGS="--seconds 600", findings in fuzz/
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r tests/fuzz/requirements.txt || true
 	$(BIN)/python tests/fuzz/run.py $(ARGS)
+
+soak: $(READY)  ## an hour (ARGS="--minutes 15") of a fleet at work: what must stay flat does; picture and numbers in soak/
+	$(BIN)/python tests/soak/soak.py $(ARGS)
+
+overload: $(READY)  ## 10 minutes (ARGS="--minutes 3") of twice as many scans as can be integrated
+	$(BIN)/python tests/soak/overload.py $(ARGS)
 
 schemas: $(READY)  ## schemas/json anew from the models
 	$(BIN)/python -m roughmap_schemas.export
