@@ -1,5 +1,7 @@
 """The process's memory, held to `map.memory_limit`: beyond it tiles leave for the spill file."""
 
+import contextlib
+import ctypes
 import logging
 import os
 import time
@@ -26,6 +28,9 @@ HIGH, LOW = 15 / 16, 7 / 8
 RETRY_SECONDS = 1.0
 """How long a disk that would not take tiles is left alone."""
 
+TRIM_SECONDS = 5.0
+"""How often the allocator is asked to give back what it keeps: it looks through all of it, some milliseconds."""
+
 Reading = Callable[[], AbstractContextManager[RoughMap]]
 """Holds the map for a short look."""
 
@@ -41,6 +46,13 @@ def memory_bytes() -> int:
     except (OSError, IndexError):
         return 0
     return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
+
+def trim_allocator() -> None:
+    """Have free memory given back to the system: the C library keeps some for each thread, and with Zenoh's threads
+    and ours it came to tens of MiB, for which tiles had to leave. Another C library may not know the call."""
+    with contextlib.suppress(AttributeError, OSError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 class Memory:
@@ -59,6 +71,7 @@ class Memory:
         self._measure = measure
         self._before = measure()
         self._retry = 0.0
+        self._trimmed = 0.0
 
     @property
     def taken(self) -> int:
@@ -71,6 +84,9 @@ class Memory:
             self._say(True, "")
             self.full = False
             return
+        if time.monotonic() >= self._trimmed + TRIM_SECONDS:
+            trim_allocator()
+            self._trimmed = time.monotonic()
         if not self.ok and time.monotonic() < self._retry:
             self.full = self.taken > self.limit
             return
