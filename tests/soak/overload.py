@@ -117,14 +117,17 @@ def overload(folder: Path, seconds: float, say: Callable[[str], None], *, rate: 
         second = end(robots)
         if rate is None:
             say("measuring what it can integrate")
-            offered, rate = FIRST_HZ, FIRST_HZ
-            while rate > 0.8 * offered:  # until it no longer keeps up
+            offered, rate = FIRST_HZ, 0.0
+            kept_up = True
+            while kept_up:
                 offered *= 2
                 robots = feed(offered)
-                _watch(client, 2.0)
+                _watch(client, 4.0)
                 first, begun = client.status(), time.monotonic()
-                _watch(client, 3.0)
-                rate = (client.status().clouds.accepted - first.clouds.accepted) / (time.monotonic() - begun)
+                _watch(client, 6.0)
+                last = client.status()
+                done = (last.clouds.accepted - first.clouds.accepted) / (time.monotonic() - begun)
+                rate, kept_up = max(rate, done), last.health == "ok"  # others' work on this machine only lowers it
                 second = end(robots)
         _wait(client, lambda now: now.health == "ok" and not now.clouds.waiting, 30.0)
         say(f"it integrates {rate:.0f} scans a second; it gets {2 * rate:.0f} for {seconds:.0f} s")

@@ -20,6 +20,19 @@ def resident(pid: int) -> int:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
+def beside_tiles(pid: int) -> int:
+    """Bytes of memory that hold no tiles. Tiles lie in maps of their own, told by the advice on huge pages that only
+    they are given (`roughmap/memory.py`); a tile has from 4 to 256 KiB, so their number would say little."""
+    rss = slab = total = 0
+    for line in Path(f"/proc/{pid}/smaps").read_text().splitlines():
+        if line.startswith("Rss:"):
+            rss = int(line.split()[1]) * 1024
+            total += rss
+        elif line.startswith("VmFlags:") and {"nh", "hg"} & set(line.split()):
+            slab += rss
+    return total - slab
+
+
 def opened(pid: int) -> int:
     """Its file descriptors."""
     return len(list(Path(f"/proc/{pid}/fd").iterdir()))
