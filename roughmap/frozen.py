@@ -10,14 +10,10 @@ import xxhash
 
 from roughmap import layers, levels, terrain
 from roughmap.arrays import F8, I4, I8, Records
-from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT
+from roughmap.cell import CELL_DTYPE, TILE_CELLS
+from roughmap.index import TILE_LIMIT, TileBox
 from roughmap.merge_cache import MergeCache
 from roughmap.tiles import TileTable
-
-TileBox = tuple[int, int, int, int]
-
-TILE_LIMIT = 1 << (31 - TILE_SHIFT)
-"""Tile numbers lie in [-TILE_LIMIT, TILE_LIMIT): those of cells whose numbers fit 32 bits."""
 
 UNKNOWN_TILE = np.zeros((TILE_CELLS, TILE_CELLS), dtype=CELL_DTYPE)
 UNKNOWN_TILE.flags.writeable = False

@@ -6,12 +6,16 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap.arrays import I4, I8, U8, Scalar
+from roughmap.cell import TILE_SHIFT
 from roughmap.jit import inline, kernel
 
 T = TypeVar("T", bound=np.generic)
 
-Box = tuple[int, int, int, int]
+TileBox = tuple[int, int, int, int]
 """Inclusive tile numbers x0, y0, x1, y1."""
+
+TILE_LIMIT = 1 << (31 - TILE_SHIFT)
+"""Tile numbers lie in [-TILE_LIMIT, TILE_LIMIT): those of cells whose numbers fit 32 bits."""
 
 
 @inline
@@ -128,6 +132,17 @@ def paired(tx: I4, ty: I4) -> I4:
     return tiles
 
 
+def ascending(known: I4, tx: I4, ty: I4) -> I4:
+    """The entries of (T,) different tiles, ascending by signed (tx, ty), read-only; ``known``: the first of them so."""
+    if len(known) == len(tx):
+        return known
+    order = np.concatenate([known, np.arange(len(known), len(tx), dtype=np.int32)])
+    packed = (tx[order].astype(np.int64) << 32) + ty[order]
+    order = order[np.argsort(packed, kind="stable")]  # this kind merges what is in order already
+    order.flags.writeable = False
+    return order
+
+
 class LevelIndex:
     """The tiles of one level that exist, each with its sequence. Entries are never removed."""
 
@@ -138,6 +153,7 @@ class LevelIndex:
         self.tx = np.zeros(32, np.int32)
         self.ty = np.zeros(32, np.int32)
         self.sequence = np.zeros(32, np.int64)
+        self._order = np.zeros(0, np.int32)  # the first so many entries, ascending
 
     @property
     def capacity(self) -> int:
@@ -146,8 +162,9 @@ class LevelIndex:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the arrays."""
-        return sum(a.nbytes for a in (self.table, self.keys, self.tx, self.ty, self.sequence))
+        """Bytes of the arrays, the entries' order too, whether it was asked for yet or not."""
+        arrays = (self.table, self.keys, self.tx, self.ty, self.sequence)
+        return sum(a.nbytes for a in arrays) + self.size * self._order.itemsize
 
     def reserve(self, more: int) -> None:
         """Make room for ``more`` entries."""
@@ -172,37 +189,37 @@ class LevelIndex:
         number, entries = self._probe_box((tx, ty, tx, ty))
         return int(entries[0]) if number else -1
 
-    def _probe_box(self, box: Box) -> tuple[int, I4]:
+    def _probe_box(self, box: TileBox) -> tuple[int, I4]:
         x0, y0, x1, y1 = box
         out = np.empty((x1 - x0 + 1) * (y1 - y0 + 1), np.int32)
         return _find_box(self.table, self.keys, x0, y0, x1, y1, out), out
 
-    def entries(self, box: Box | None = None) -> I4:
-        """Entries of the tiles in ``box`` (inclusive; None: all), ascending by signed (tx, ty)."""
-        if box is not None:
-            x0, y0, x1, y1 = box
-            if x1 < x0 or y1 < y0:
-                return np.zeros(0, np.int32)
-            # Few tiles are asked for one by one; for many, one look at every entry is cheaper.
-            if (
-                (x1 - x0 + 1) * (y1 - y0 + 1) <= max(64, self.size)
-                and min(x0, y0) >= -(1 << 31)
-                and max(x1, y1) < 1 << 31
-            ):
-                number, out = self._probe_box(box)
-                return out[:number]
+    def entries(self, box: TileBox | None = None) -> I4:
+        """Entries of the tiles in ``box`` (inclusive; None: all), ascending by signed (tx, ty); not to be changed."""
         tx, ty = self.tx[: self.size], self.ty[: self.size]
         if box is None:
-            chosen = np.arange(self.size, dtype=np.int32)
-        else:
-            chosen = np.flatnonzero((tx >= x0) & (tx <= x1) & (ty >= y0) & (ty <= y1)).astype(np.int32)
+            self._order = ascending(self._order, tx, ty)
+            return self._order
+        x0, y0, x1, y1 = box
+        if x1 < x0 or y1 < y0:
+            return np.zeros(0, np.int32)
+        # Few tiles are asked for one by one; for many, one look at every entry is cheaper.
+        if (x1 - x0 + 1) * (y1 - y0 + 1) <= max(64, self.size) and min(x0, y0) >= -(1 << 31) and max(x1, y1) < 1 << 31:
+            number, out = self._probe_box(box)
+            return out[:number]
+        chosen = np.flatnonzero((tx >= x0) & (tx <= x1) & (ty >= y0) & (ty <= y1)).astype(np.int32)
         return chosen[np.lexsort((ty[chosen], tx[chosen]))]
+
+    def changed(self, after: int) -> I4:
+        """Entries of the tiles whose sequence is larger than ``after``, ascending by signed (tx, ty)."""
+        chosen = np.flatnonzero(self.sequence[: self.size] > after).astype(np.int32)
+        return chosen[np.lexsort((self.ty[chosen], self.tx[chosen]))]
 
     def versions(self) -> "TileVersions":
         """The tiles as they are now, to be read while the index goes on."""
-        return TileVersions(self.tx[: self.size], self.ty[: self.size], self.sequence[: self.size].copy())
+        return TileVersions(self.tx[: self.size], self.ty[: self.size], self.sequence[: self.size].copy(), self._order)
 
-    def select(self, box: Box | None = None) -> tuple[I4, I4, I8]:
+    def select(self, box: TileBox | None = None) -> tuple[I4, I4, I8]:
         """Copies of (tx, ty, sequence) of the tiles in ``box`` (inclusive; None: all), ascending by (tx, ty)."""
         chosen = self.entries(box)
         return self.tx[chosen], self.ty[chosen], self.sequence[chosen]
@@ -211,16 +228,17 @@ class LevelIndex:
 class TileVersions:
     """Which tiles a level had at one moment, and the sequence of each; not changed by what the map does meanwhile."""
 
-    def __init__(self, tx: I4, ty: I4, sequence: I8) -> None:
+    def __init__(self, tx: I4, ty: I4, sequence: I8, order: I4) -> None:
         self._tx, self._ty, self._sequence = tx, ty, sequence  # entries only come: their numbers need no copy
+        self._order = order
 
-    def select(self, box: Box | None = None) -> tuple[I4, I8]:
+    def select(self, box: TileBox | None = None) -> tuple[I4, I8]:
         """(T, 2) tiles in ``box`` (inclusive; None: all), ascending by (x, y), and (T,) their sequences."""
         tx, ty = self._tx, self._ty
         if box is None:
-            chosen = np.arange(len(tx))
+            chosen = self._order = ascending(self._order, tx, ty)
         else:
             x0, y0, x1, y1 = box
-            chosen = np.flatnonzero((tx >= x0) & (tx <= x1) & (ty >= y0) & (ty <= y1))
-        chosen = chosen[np.lexsort((ty[chosen], tx[chosen]))]
+            chosen = np.flatnonzero((tx >= x0) & (tx <= x1) & (ty >= y0) & (ty <= y1)).astype(np.int32)
+            chosen = chosen[np.lexsort((ty[chosen], tx[chosen]))]
         return paired(tx[chosen], ty[chosen]), self._sequence[chosen]

@@ -15,8 +15,8 @@ from roughmap.cell import OFFSET_LIMIT_NS, REASON_NAMES, STAMP_LIMIT_NS, TILE_CE
 from roughmap.digest import map_digest, tile_digest
 from roughmap.eviction import Eviction
 from roughmap.footprint import POINT
-from roughmap.frozen import Frozen, TileBox
-from roughmap.index import TileVersions, paired
+from roughmap.frozen import Frozen
+from roughmap.index import TileBox, TileVersions, paired
 from roughmap.integrate import AddReport, Geometry, find_tiles, integrate
 from roughmap.merge_cache import MergeCache
 from roughmap.place import BLOCK, pose_at
@@ -81,6 +81,7 @@ class RoughMap:
         self._space = Workspace(threads, self.settings.side)
         self._table = TileTable(levels, shelf or Shelf())
         self._cache = MergeCache()
+        self._digest = ((-1, 0), "")  # the last one asked for, and of which sequence and generation
 
     @property
     def cell_size(self) -> float:
@@ -111,6 +112,12 @@ class RoughMap:
         """(T, 2) tiles of a level in ``box`` (inclusive; None: all), ascending by (x, y), and (T,) their sequences."""
         tx, ty, sequence = self._table.levels[level].select(box)
         return paired(tx, ty), sequence
+
+    def changed_tiles(self, level: int, after: int) -> tuple[I4, I8]:
+        """The same of the tiles whose sequence is larger than ``after``."""
+        index = self._table.levels[level]
+        entries = index.changed(after)
+        return paired(index.tx[entries], index.ty[entries]), index.sequence[entries]
 
     def tile_versions(self) -> list[TileVersions]:
         """Of each level the tiles and their sequences as they are now, to be read while the map goes on."""
@@ -301,8 +308,11 @@ class RoughMap:
         return base.tx[entries], base.ty[entries], table.digest[entries]
 
     def digest(self) -> str:
-        """XXH3-128, hex, over the digests of all tiles; of an empty map that of no bytes."""
-        return map_digest(*self.tile_digests())
+        """XXH3-128, hex, over the digests of all tiles; of an empty map that of no bytes. Kept until it changes."""
+        state = self.sequence, self._cache.generation
+        if self._digest[0] != state:
+            self._digest = state, map_digest(*self.tile_digests())
+        return self._digest[1]
 
     def freeze(self, level: int = 0, box: TileBox | None = None, *, after: int = -1) -> Frozen:
         """The tiles of ``level`` in ``box`` (inclusive tile numbers; None: all) as they are now, to be read later.

@@ -87,16 +87,6 @@ def _copy_known_rows(source: Scalar, target: Scalar) -> None:
 
 
 @kernel
-def _count_known(address: Scalar) -> int:
-    a = words(address)
-    known = 0
-    for n in range(SLOT_CELLS):
-        if a[n * CELL_WORDS] & np.uint64(0xFFFFFFFF) != 0:
-            known += 1
-    return known
-
-
-@kernel
 def _known_rows(address: Scalar) -> int:
     """Which rows of a slot hold a known cell: bit j for row j."""
     a = words(address)
@@ -135,11 +125,13 @@ class Places:
         return len(self.pins) - len(self._free)
 
     def _extend(self, number: int) -> None:
-        """So many more free places, handed out in their order."""
+        """So many more free places, handed out in their order. All or none, as with all growth: memory is taken before
+        anything changes."""
         first = len(self.pins)
-        self.pins = np.append(self.pins, np.zeros(number, np.int32))
-        self.live = np.append(self.live, np.zeros(number, np.bool_))
-        self._free.extend(range(first + number - 1, first - 1, -1))
+        pins = np.append(self.pins, np.zeros(number, np.int32))
+        live = np.append(self.live, np.zeros(number, np.bool_))
+        free = [*self._free, *range(first + number - 1, first - 1, -1)]
+        self.pins, self.live, self._free = pins, live, free
 
     def _grow(self) -> None:
         """At least one more place; MemoryError if there can be none."""
@@ -184,8 +176,7 @@ class SlotPool(Places):
     Slabs are private anonymous maps of zero pages: one row of 64 cells is one page, so that a tile of which only a
     part is known costs only the rows that were written. Tiles of which most is known, or soon will be, come into slabs
     of their own, of huge pages: a page fault costs more than the update of a hundred cells. A slab never moves and is
-    never unmapped while a view of it is alive. :meth:`records`, :meth:`copy` and :meth:`known_cells` of pinned slots
-    need no lock.
+    never unmapped while a view of it is alive. :meth:`records` and :meth:`copy` of pinned slots need no lock.
     """
 
     def __init__(self) -> None:
@@ -210,10 +201,11 @@ class SlotPool(Places):
         with contextlib.suppress(OSError):  # a kernel without huge pages knows no such advice
             slab.madvise(advice)
         start = np.frombuffer(slab, np.uint8).ctypes.data
-        self._slabs.append(slab)
-        self.address = np.append(self.address, np.uint64(start) + np.arange(SLAB_SLOTS, dtype=np.uint64) * SLOT_BYTES)
-        self.dense = np.append(self.dense, np.full(SLAB_SLOTS, advice == mmap.MADV_HUGEPAGE))
+        slabs = [*self._slabs, slab]
+        address = np.append(self.address, np.uint64(start) + np.arange(SLAB_SLOTS, dtype=np.uint64) * SLOT_BYTES)
+        dense = np.append(self.dense, np.full(SLAB_SLOTS, advice == mmap.MADV_HUGEPAGE))
         self._extend(SLAB_SLOTS)
+        self._slabs, self.address, self.dense = slabs, address, dense
 
     def _grow(self) -> None:
         self._map(mmap.MADV_NOHUGEPAGE)  # with huge pages, one known row would cost eight tiles
@@ -281,7 +273,3 @@ class SlotPool(Places):
     def is_dense(self, slot: int) -> bool:
         """Whether the slot is for tiles of which most is known, or should be."""
         return bool(self.dense[slot]) or self.known_rows(slot).bit_count() >= DENSE_ROWS
-
-    def known_cells(self, slot: int) -> int:
-        """Number of the slot's cells with a count."""
-        return _count_known(self.address[slot])

@@ -27,7 +27,8 @@ class MergeCache:
     Attributes:
         generation: part of every key; whoever changes cells without raising the map's sequence (a reset, a tile taken
             from a store) raises it, under the map's lock.
-        abandoned: slots still pinned by readings that were never closed; the next reading gives them back.
+        abandoned: slots still pinned by readings that were never closed; the next reading gives them back. Until then
+            their tiles stay in memory, as those of any open reading do.
     """
 
     def __init__(self, limit: int = CACHE_BYTES) -> None:

@@ -8,7 +8,7 @@ from roughmap.cell import TILE_CELLS, TILE_SHIFT
 from roughmap.frozen import Frozen
 from roughmap.layers import check_limits, check_names, check_tolerance, unknown_plane
 
-Box = tuple[float, float, float, float]
+Bbox = tuple[float, float, float, float]
 CellBox = tuple[int, int, int, int]
 
 MAX_CELLS = 1 << 26

@@ -4,7 +4,7 @@ import numpy as np
 
 from roughmap.arrays import I4, Flags, Records
 from roughmap.cell import CELL_DTYPE
-from roughmap.index import Box, LevelIndex, grown
+from roughmap.index import LevelIndex, TileBox, grown
 from roughmap.memory import SLOT_BYTES, SLOT_CELLS, SlotPool
 from roughmap.shelf import Shelf
 
@@ -17,8 +17,7 @@ class TileTable:
     table has a known cell. ``slot`` is where it lies: of the pool if not negative, else the place ``~slot`` of the
     shelf; what lies there has its digest known. ``used`` is the sequence at which the tile was last needed.
 
-    Everything is the writer's, under its lock, but :meth:`records` and :meth:`known_cells` of slots that the caller has
-    pinned.
+    Everything is the writer's, under its lock, but :meth:`records` of slots that the caller has pinned.
     """
 
     def __init__(self, levels: int, shelf: Shelf) -> None:
@@ -60,12 +59,11 @@ class TileTable:
             level.reserve(number)
         capacity = self.levels[0].capacity
         if capacity > len(self.slot):
-            self.slot = grown(self.slot, capacity)
-            self.used = grown(self.used, capacity)
-            self.oldest_ns = grown(self.oldest_ns, capacity)
-            self.newest_ns = grown(self.newest_ns, capacity)
-            self.digest = grown(self.digest, capacity)
-            self.digest_known = grown(self.digest_known, capacity)
+            slot, used = grown(self.slot, capacity), grown(self.used, capacity)
+            oldest_ns, newest_ns = grown(self.oldest_ns, capacity), grown(self.newest_ns, capacity)
+            digest, digest_known = grown(self.digest, capacity), grown(self.digest_known, capacity)
+            self.slot, self.used, self.oldest_ns, self.newest_ns = slot, used, oldest_ns, newest_ns
+            self.digest, self.digest_known = digest, digest_known
         if slots is None:
             slots = self.pool.allocate(number, dense)
         first = self.size
@@ -112,7 +110,7 @@ class TileTable:
         self.pool.release(slots[slots >= 0])
         self.shelf.release(~slots[slots < 0])
 
-    def select(self, box: Box | None = None) -> I4:
+    def select(self, box: TileBox | None = None) -> I4:
         """Entries of the level-0 tiles in ``box`` (inclusive tile numbers; None: all), ascending by (tx, ty)."""
         return self.levels[0].entries(box)
 
@@ -137,7 +135,3 @@ class TileTable:
         self.shelf.read(~slot, records)
         records.flags.writeable = False
         return records
-
-    def known_cells(self, slot: int) -> int:
-        """Number of the cells with a count in a slot that is in memory."""
-        return self.pool.known_cells(slot)

@@ -16,6 +16,7 @@ import zenoh
 
 from roughmap.cell import TILE_CELLS
 from roughmap.frozen import Frozen
+from roughmap.index import TILE_LIMIT, TileBox
 from roughmap.region import MAX_CELLS, CellBox, cell_box, tile_box
 from roughmap_schemas.config import Config
 from roughmap_schemas.encodings import GRID
@@ -27,7 +28,6 @@ from roughmap_service.emptied import Emptied, Gone
 from roughmap_service.settings import CACHE_SHARE
 from roughmap_service.tile_cache import TileCache
 from roughmap_service.tile_reply import (
-    TILE_LIMIT,
     Drawable,
     Drawing,
     Identity,
@@ -45,8 +45,7 @@ INT32 = 2**31
 KNOWN_SELECTORS, SHORT_SELECTOR = 256, 512
 """Selectors that are kept as read, and how long those are at most."""
 
-Box = tuple[int, int, int, int]
-LevelBox = tuple[int, Box | None]
+LevelBox = tuple[int, TileBox | None]
 """A level, and the tiles of it that are meant; None: all."""
 
 Reply = tuple[str, TileReply]
@@ -286,7 +285,7 @@ def _sent(replies: Iterable[Reply], sequence: int, send: Send) -> Outcome:
     return Outcome(number, sequence)
 
 
-def _tile_box(x: int | None, y: int | None, bbox: Bbox | None, cell_size: float) -> Box | None:
+def _tile_box(x: int | None, y: int | None, bbox: Bbox | None, cell_size: float) -> TileBox | None:
     """Tiles x0, y0, x1, y1, inclusive, of a key and a bbox together; None for all, x0 > x1 or y0 > y1 for none."""
     if x is None and y is None and bbox is None:
         return None
@@ -304,7 +303,7 @@ def _tile_box(x: int | None, y: int | None, bbox: Bbox | None, cell_size: float)
     return x0, y0, x1, y1
 
 
-def _within(tiles: npt.NDArray[np.int32], box: Box | None) -> npt.NDArray[np.int32]:
+def _within(tiles: npt.NDArray[np.int32], box: TileBox | None) -> npt.NDArray[np.int32]:
     if box is None or not len(tiles):
         return tiles
     inside = (tiles >= np.array(box[:2])).all(axis=1) & (tiles <= np.array(box[2:])).all(axis=1)

@@ -68,10 +68,11 @@ class Spill(Shelf):
         return self._most - self._slices + len(self._left)
 
     def _grow(self) -> None:
+        slices = np.append(self._slice, np.full(STEP, NOWHERE, np.int32))
+        rows = np.append(self._rows, np.zeros(STEP, np.uint64))
+        check = np.append(self._check, np.zeros(STEP, np.uint64))
         self._extend(STEP)
-        self._slice = np.append(self._slice, np.full(STEP, NOWHERE, np.int32))
-        self._rows = np.append(self._rows, np.zeros(STEP, np.uint64))
-        self._check = np.append(self._check, np.zeros(STEP, np.uint64))
+        self._slice, self._rows, self._check = slices, rows, check
 
     def allocate(self, number: int) -> I4:
         """Places with a slice of the file each; MemoryError, and nothing taken, beyond `room`."""

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from roughmap.cell import TILE_CELLS, TILE_SHIFT
+from roughmap.cell import TILE_CELLS
 from roughmap.frozen import Frozen
 from roughmap.layers import ZERO_WHERE_UNKNOWN
 from roughmap.region import CellBox, overlap, tile_box
@@ -219,7 +219,3 @@ def _last(high: float, side: float) -> int:
     while (tile + 1) * side < high:
         tile += 1
     return tile
-
-
-TILE_LIMIT = 2**31 >> TILE_SHIFT
-"""Tiles are numbered from minus this up to, not including, this: their cells are int32."""

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from roughmap import RoughMap
-from roughmap.frozen import Frozen, TileBox
-from roughmap.index import TileVersions
+from roughmap.frozen import Frozen
+from roughmap.index import TileBox, TileVersions
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,9 +24,10 @@ class Standing:
 class View:
     """The map behind its one lock.
 
-    The sequencer changes the map inside `change`; a reader pins what it needs inside the lock (microseconds, or at most
-    the rest of one scan's integration) and reads it afterwards without any lock, while the map goes on. Who waits for
-    the lock gets it before the next change begins, however fast these follow each other.
+    The sequencer changes the map inside `change`; a reader pins what it needs inside the lock and reads it afterwards
+    without any lock, while the map goes on. It waits at most for the rest of one scan's integration, or for other
+    readers; a few tiles are pinned in some 50 us, the whole map in time that grows with it. Who waits for the lock gets
+    it before the next change begins, however fast these follow each other.
     """
 
     def __init__(self, rough_map: RoughMap, epoch: int) -> None:
@@ -71,7 +72,8 @@ class View:
 
     @contextmanager
     def reading(self) -> Iterator[RoughMap]:
-        """Hold the map for a short look at its plain numbers (sequence, extent, counts); never for I/O."""
+        """Hold the map, scans and other readers wait meanwhile: for a look at its numbers, to list or pin tiles. What a
+        list of all tiles costs grows with the map. Tiles are read, written and sent only after this."""
         with self._held():
             yield self.map
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from strategies import MODELS, cells_of, clouds
 
 from roughmap import CELL_DTYPE, RoughMap
+from roughmap.digest import map_digest
 
 FIELDS = ("count", "updated", "weight", "weight_sq", "mean", "m2", "min", "max", "inv_cf")
 
@@ -98,3 +99,19 @@ def test_tiles_loaded_from_a_store_count_like_those_that_were_built() -> None:
     m.add([(0.05, 0.05, 1.0)])
     copy.add([(0.05, 0.05, 1.0)])
     assert copy.digest() == m.digest() == by_the_contract(copy)
+
+
+def test_the_digest_is_made_once_after_each_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+    monkeypatch.setattr("roughmap.map.map_digest", lambda *tiles: made.append(tiles) or map_digest(*tiles))
+    m = RoughMap(error_model="point", threads=1)
+    changes = [
+        lambda: m.add([(0.05, 0.05, 1.0)]),
+        m.reset,
+        lambda: m.load_tile(3, 3, np.full(4096, np.array(1, CELL_DTYPE)), 0, 0),
+        lambda: m.add([(0.05, 0.05, 1.0)]),
+    ]
+    for number, change in enumerate(changes, 1):
+        change()
+        assert m.digest() == m.digest() == by_the_contract(m)
+        assert len(made) == number

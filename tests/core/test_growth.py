@@ -1,0 +1,81 @@
+"""Tables that grow: in order whatever came when, and as they were where there is no memory for more."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roughmap import RoughMap, tiles
+from roughmap.index import LevelIndex
+from roughmap.memory import SLAB_SLOTS, SlotPool
+
+TILE = st.tuples(st.integers(-(2**25), 2**25 - 1), st.integers(-3, 3))
+
+
+def failing(number: int, true: Callable[..., Any]) -> Callable[..., Any]:
+    """The function ``true``, for which there is no memory at its call ``number``."""
+    calls = iter(range(1000))
+
+    def call(*args: Any) -> Any:
+        if next(calls) == number:
+            raise MemoryError
+        return true(*args)
+
+    return call
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.lists(TILE, max_size=40), max_size=8))
+def test_all_tiles_stand_in_order_however_they_came(rounds: list[list[tuple[int, int]]]) -> None:
+    index = LevelIndex()
+    known: dict[tuple[int, int], int] = {}
+    for number, came in enumerate(rounds):
+        before, was = index.versions(), sorted(known.items())
+        tx, ty = np.array([*came, (0, 0)], np.int32).T
+        index.insert(tx, ty)
+        for entry in range(index.size):
+            if known.setdefault((int(index.tx[entry]), int(index.ty[entry])), number) == number:
+                index.sequence[entry] = number
+        x, y, sequence = index.select()
+        assert list(zip(zip(x.tolist(), y.tolist(), strict=True), sequence.tolist(), strict=True)) == sorted(
+            known.items()
+        )
+        changed = index.changed(number - 1)
+        assert list(zip(index.tx[changed].tolist(), index.ty[changed].tolist(), strict=True)) == sorted(
+            tile for tile, when in known.items() if when == number
+        )
+        then, theirs = before.select()
+        assert [((x, y), s) for (x, y), s in zip(then.tolist(), theirs.tolist(), strict=True)] == was
+
+
+@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("dense", [False, True])
+def test_slots_stay_where_their_memory_is(monkeypatch: pytest.MonkeyPatch, number: int, dense: bool) -> None:
+    pool = SlotPool()
+    pool.allocate(SLAB_SLOTS)
+    flags = np.full(SLAB_SLOTS, dense)
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "append", failing(number, np.append))
+        with pytest.raises(MemoryError):
+            pool.allocate(SLAB_SLOTS, flags)
+    assert pool.used == SLAB_SLOTS
+    for slot in pool.allocate(SLAB_SLOTS, flags).tolist():
+        assert pool.records(slot).ctypes.data == pool.address[slot]
+        assert pool.dense[slot] == dense
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_a_map_without_memory_for_its_tables_is_as_it_was(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    points = [[6.4 * x + 0.1, 0.1, 0.0] for x in range(40)]
+    m, whole = (RoughMap(error_model="point", threads=1) for _ in range(2))
+    for part in points[:20], points:
+        whole.add(part)
+        with monkeypatch.context() as patch:
+            patch.setattr(tiles, "grown", failing(number, tiles.grown))
+            with pytest.raises(MemoryError):
+                m.add(part)
+        m.add(part)
+    assert m.digest() == whole.digest()
