@@ -8,6 +8,7 @@ import numpy.typing as npt
 from roughmap import RoughMap
 
 Tiles = npt.NDArray[np.int32]
+Sequences = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -15,14 +16,16 @@ class Gone:
     """What resets had emptied up to one moment."""
 
     level0: Tiles
+    emptied: Sequences
+    """(T,) of each of them, the map's sequence that its last reset made."""
     sequence: int
     """The map's sequence that the last reset made; 0 without one."""
 
-    def tiles(self, level: int, present: Tiles) -> Tiles:
-        """(T, 2) tiles of a level that were known before a reset and are not among ``present``, ascending by (x, y)."""
-        if not len(self.level0):
-            return self.level0
-        return without(np.unique(self.level0 >> level, axis=0), present)
+    def tiles(self, level: int, present: Tiles, after: int = -1) -> Tiles:
+        """(T, 2) tiles of a level that a reset later than sequence ``after`` emptied, and that are not among
+        ``present``, ascending by (x, y)."""
+        level0 = self.level0[self.emptied > after]
+        return without(np.unique(level0 >> level, axis=0), present) if len(level0) else level0
 
 
 class Emptied:
@@ -35,19 +38,22 @@ class Emptied:
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
-        self._resets: list[Tiles] = []
-        self.now = Gone(np.empty((0, 2), np.int32), 0)
+        self._resets: list[tuple[int, Tiles]] = []
+        self.now = Gone(np.empty((0, 2), np.int32), np.empty(0, np.int64), 0)
 
     def note(self, rough_map: RoughMap) -> None:
         """Remember the tiles that the map holds now, beside those of earlier resets."""
-        with rough_map.freeze(0) as frozen:
-            tiles = np.array(frozen.tiles, np.int32, copy=True).reshape(-1, 2)
+        tiles, sequence = rough_map.tile_sequences()[0], rough_map.sequence + 1
         # Each tile stands with the last reset that emptied it.
-        resets = [left for earlier in self._resets if len(left := without(earlier, tiles))] + [tiles]
-        while len(resets) > 1 and sum(map(len, resets)) > self._limit:
+        resets = [(when, left) for when, earlier in self._resets if len(left := without(earlier, tiles))]
+        resets.append((sequence, tiles))
+        while len(resets) > 1 and sum(len(those) for _, those in resets) > self._limit:
             del resets[0]
         self._resets = resets
-        self.now = Gone(np.unique(np.concatenate(resets), axis=0), rough_map.sequence + 1)
+        level0 = np.concatenate([those for _, those in resets])
+        emptied = np.repeat([when for when, _ in resets], [len(those) for _, those in resets])
+        order = np.lexsort((level0[:, 1], level0[:, 0]))
+        self.now = Gone(level0[order], emptied[order], sequence)
 
 
 def without(tiles: Tiles, others: Tiles) -> Tiles:

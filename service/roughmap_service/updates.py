@@ -3,9 +3,8 @@
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Literal, Self
 
@@ -13,11 +12,15 @@ import numpy as np
 import numpy.typing as npt
 import zenoh
 
+from roughmap.arrays import I4
+from roughmap.frozen import Frozen
+from roughmap.index import TileBox
 from roughmap_schemas.config import Config
 from roughmap_schemas.encodings import GRID
 from roughmap_schemas.keys import Keys
 from roughmap_schemas.messages import UpdateRecord, model_bytes
-from roughmap_service.emptied import Emptied, without
+from roughmap_service.emptied import Emptied
+from roughmap_service.tile_cache import DrawnTile
 from roughmap_service.tile_reply import Drawing, Identity, Wanted
 from roughmap_service.view import View
 
@@ -37,13 +40,8 @@ and stamp. It must not block."""
 
 Version = tuple[int, int]
 
-
-@dataclass(slots=True)
-class _Level:
-    """What the listeners of a level were told: up to which state, and which tiles they have."""
-
-    version: Version
-    tiles: npt.NDArray[np.int32]
+BLOCK_SHIFT = 3
+"""Changed tiles are held in blocks of 8 x 8 of them: where two robots work, what lies between them is not."""
 
 
 class Updates:
@@ -74,7 +72,7 @@ class Updates:
         self._period = 1.0 / config.updates.update_hz
         self._wanted = Wanted(tuple(config.updates.layers), config.map.height_tolerance, dict(config.map.limits))
         self._levels = tuple(config.updates.levels)
-        self._told: dict[int, _Level] = {}
+        self._told: dict[int, Version] = {}
         self._back: tuple[float, Version, Version] = (0.0, (0, 0), (0, 0))
         self._listened: dict[int, bool] = dict.fromkeys(self._levels, False)
         self._wake = threading.Event()
@@ -143,7 +141,7 @@ class Updates:
                 self._tell(level)
             self._remember()
             self._closing.wait(max(0.0, self._period - (time.monotonic() - started)))
-            told = min((state.version for state in self._told.values()), default=(0, 0))
+            told = min(self._told.values(), default=(0, 0))
             if set(self._told) == {level for level in self._levels if self._listened[level]}:
                 self._view.wait_change(told, LOOK_S)
         for level in [level for level in self._told if self._listened[level]]:
@@ -169,35 +167,55 @@ class Updates:
             self._back = (taken, newer, older)
 
     def _round(self, level: int) -> None:
-        """Publish what changed at a level since its listeners were last told."""
-        with self._view.freeze(level) as (frozen, epoch):
-            state = self._told.get(level)
-            if state is None:
-                state = self._told[level] = _Level(self._back[2], frozen.tiles)
-                if state.version[0] != epoch:  # the map was reset a moment ago: they may hold tiles from before
-                    gone = self._emptied.now.tiles(level, frozen.tiles)
-                    state.tiles = np.concatenate([frozen.tiles, gone])
-            told_epoch, told_sequence = state.version
-            changed = frozen.sequences > (told_sequence if epoch == told_epoch else -1)
-            tiles = zip(frozen.tiles[changed].tolist(), frozen.sequences[changed].tolist(), strict=True)
-            gone = without(state.tiles, frozen.tiles)
-            drawing = Drawing(frozen, epoch, self._wanted, self._identity)
-            for (x, y), sequence in [*tiles, *((tile, frozen.sequence) for tile in gone.tolist())]:
-                drawn = drawing.tile(x, y, sequence)
-                key = self._keys.update(level, x, y)
-                # BLOCK, since the last change must come: a reader that stalls holds this thread up for 5 s at most,
-                # then its link is closed. Nothing but this thread waits for it.
-                self._session.put(
-                    key,
-                    drawn.payload,
-                    encoding=GRID,
-                    attachment=drawn.told(frozen.sequence, 1),
-                    congestion_control=zenoh.CongestionControl.BLOCK,
-                )
-                if self._mode == "records":
-                    info = drawn.info.model_copy(update={"map_sequence": frozen.sequence, "answer_tiles": 1})
-                    record = UpdateRecord(key=key, info=info)
-                    self._record("updates", model_bytes(record), info.newest_ns)
-                elif self._mode == "grids":
-                    self._record("grids", drawn.payload, drawn.info.newest_ns)
-            state.version, state.tiles = (epoch, frozen.sequence), frozen.tiles
+        """Publish what changed at a level since its listeners were last told.
+
+        Only that is held, and the ring around it: all other tiles may leave memory, and are written to without being
+        copied, however long a listener stalls.
+        """
+        told_epoch, told_sequence = self._told.setdefault(level, self._back[2])
+        with ExitStack() as held:
+            with self._view.reading() as rough_map:
+
+                def hold(box: TileBox) -> Frozen:
+                    frozen = rough_map.freeze(level, box)
+                    held.callback(self._view.let_go, frozen)
+                    return frozen
+
+                epoch, sequence, emptied = self._view.epoch, rough_map.sequence, self._emptied.now
+                was_reset = epoch != told_epoch
+                tiles, sequences = rough_map.changed_tiles(level, -1 if was_reset else told_sequence)
+                parts = [(hold(box), tiles[rows], sequences[rows]) for box, rows in _blocks(tiles)]
+                blank = hold((0, 0, 0, 0)) if was_reset else None  # draws any tile that is not there
+            if blank is not None:  # they may hold tiles from before
+                gone = emptied.tiles(level, tiles, told_sequence)
+                parts.append((blank, gone, np.full(len(gone), sequence)))
+            for frozen, some, theirs in parts:
+                drawing = Drawing(frozen, epoch, self._wanted, self._identity)
+                for (x, y), tile_sequence in zip(some.tolist(), theirs.tolist(), strict=True):
+                    self._publish(self._keys.update(level, x, y), drawing.tile(x, y, tile_sequence), sequence)
+        self._told[level] = epoch, sequence
+
+    def _publish(self, key: str, drawn: DrawnTile, sequence: int) -> None:
+        # BLOCK, since the last change must come: a reader that stalls holds this thread up for 5 s at most, then its
+        # link is closed. Nothing but this thread waits for it.
+        self._session.put(
+            key,
+            drawn.payload,
+            encoding=GRID,
+            attachment=drawn.told(sequence, 1),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
+        if self._mode == "records":
+            info = drawn.info.model_copy(update={"map_sequence": sequence, "answer_tiles": 1})
+            self._record("updates", model_bytes(UpdateRecord(key=key, info=info)), info.newest_ns)
+        elif self._mode == "grids":
+            self._record("grids", drawn.payload, drawn.info.newest_ns)
+
+
+def _blocks(tiles: I4) -> Iterator[tuple[TileBox, npt.NDArray[np.intp]]]:
+    """The (T, 2) tiles block by block: the box around those of a block, and which rows they are."""
+    blocks, block_of = np.unique(tiles >> BLOCK_SHIFT, axis=0, return_inverse=True)
+    for block in range(len(blocks)):
+        rows = np.flatnonzero(block_of.reshape(-1) == block)
+        (x0, y0), (x1, y1) = tiles[rows].min(axis=0).tolist(), tiles[rows].max(axis=0).tolist()
+        yield (x0, y0, x1, y1), rows

@@ -114,6 +114,32 @@ def test_what_a_reset_emptied_is_published_once() -> None:
         assert len(emptied) == len(set(emptied))
 
 
+def test_a_round_holds_only_what_changed() -> None:
+    """All other tiles may leave memory while updates are being published, and no scan has to copy them."""
+    heard: Gathered[zenoh.Sample] = Gathered()
+    held: Gathered[set[tuple[int, int]]] = Gathered()
+    with Served({"updates": {"update_hz": 50.0}}) as served:
+
+        def look(*_: object) -> None:  # in the midst of a round, where its listener might stall
+            with served.view.reading() as m:
+                table = m._table
+                base, pinned = table.levels[0], table.pool.pins[table.slot[: table.size]] > 0
+                entries = np.flatnonzero(pinned)
+                held(set(zip(base.tx[entries].tolist(), base.ty[entries].tolist(), strict=True)))
+
+        far = [(6.4 * x + 0.05, 6.4 * y + 0.05, 0.0) for x in range(-30, 30) for y in range(-30, 30)]
+        served.map.add(np.array(far), np.eye(3) * 1e-6)
+        with start(served, look):
+            subscriber = served.asker.declare_subscriber("maps/site/updates/0/*/*", heard)
+            ends = np.array([(-128.0 + 3.2, 3.2, 0.0), (128.0 + 3.2, 3.2, 0.0)])
+            with served.view.change():
+                served.map.add(ends, np.eye(3) * 1e-6)
+            held.wait(lambda looks: len(looks) >= 2, "both updates")
+            subscriber.undeclare()
+    for tiles in held.items:
+        assert tiles == {(x + dx, dy) for x in (-20, 20) for dx in (-1, 0, 1) for dy in (-1, 0, 1)}
+
+
 def test_one_tile_at_most_so_often() -> None:
     """Many scans between two rounds make one update a tile: seen from the numbers, not from the clock."""
     heard: Gathered[zenoh.Sample] = Gathered()

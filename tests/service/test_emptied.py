@@ -26,6 +26,14 @@ def test_tiles_of_all_resets_are_told() -> None:
     assert gone.tiles(1, NOTHING).tolist() == [[0, 0], [1, 0], [2, 0]]
 
 
+def test_those_of_later_resets_alone() -> None:
+    """Sequences of the resets: 2, 4, 6; a tile counts with its last one."""
+    gone = emptied(100, [1, 2], [2, 3], [5]).now
+    assert gone.tiles(0, NOTHING, after=2).tolist() == [[2, 0], [3, 0], [5, 0]]
+    assert gone.tiles(0, NOTHING, after=5).tolist() == [[5, 0]]
+    assert gone.tiles(0, NOTHING, after=6).tolist() == []
+
+
 def test_beyond_the_limit_the_earliest_resets_are_forgotten() -> None:
     assert emptied(4, [1, 2], [3], [5]).now.level0[:, 0].tolist() == [1, 2, 3, 5]
     assert emptied(3, [1, 2], [3], [5]).now.level0[:, 0].tolist() == [3, 5]

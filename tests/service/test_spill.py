@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pytest
@@ -340,6 +341,22 @@ def test_where_tiles_cannot_leave_the_memory_says_full_until_they_can(
         assert (memory.ok, memory.full, m.resident_tiles) == (True, False, 28)
 
 
+def test_while_readers_hold_all_tiles_what_comes_leaves(spill: Spill) -> None:
+    """Beyond what they hold, memory has the tiles of one scan: it refuses nothing, and needs no bound of its own."""
+    m = RoughMap(error_model="point", threads=1, shelf=spill)
+    memory, relieve = pressed(spill, m)
+    memory._measure = lambda: m._table.pool.used * SLOT_BYTES
+    m.add([[6.4 * x + 0.1, 0.0, 0.0] for x in range(30)])
+    with m.freeze():
+        for n in range(20):
+            m.add([[6.4 * (n + x) + 0.1, 0.0, float(n)] for x in range(15)])
+            relieve()
+            assert (memory.ok, memory.full) == (True, False)
+            assert m._table.pool.used <= 30 + 15
+    relieve()
+    assert m._table.pool.used <= 28
+
+
 def test_a_file_that_may_not_grow_is_a_full_one(tmp_path: Path) -> None:
     with Spill(tmp_path / "tiles", 10 * SLOT_BYTES) as spill:
         m = RoughMap(error_model="point", threads=1, shelf=spill)
@@ -368,6 +385,28 @@ def test_what_is_not_as_it_was_written_is_found(spill: Spill) -> None:
     with pytest.raises(SpillError, match="not as it was written"):
         m.add(ground(3, 5000), S, 10**9)
     assert (m.digest(), m.sequence, m.resident_tiles) == (was, sequence, 1)
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_places_for_which_there_is_no_memory(spill: Spill, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    calls, true = iter(range(100)), np.append
+
+    def append(*args: Any) -> Any:
+        if next(calls) == number:
+            raise MemoryError
+        return true(*args)
+
+    m = filled(spill)
+    was = tiles_of(m)
+    m.add(FAR, S, 10**9)  # all else may leave
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "append", append)
+        with pytest.raises(MemoryError):
+            leave(m)
+    assert spill.used == 0
+    leave_all(m)
+    assert m.resident_tiles == 1
+    assert {tile: tiles_of(m)[tile] for tile in was} == was
 
 
 def test_the_file_is_emptied_at_the_start_and_removed_at_the_end(tmp_path: Path) -> None:
