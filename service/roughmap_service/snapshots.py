@@ -86,12 +86,19 @@ class Snapshots:
             return None
         # Tiles stored under another epoch of this process may have been emptied by a reset since.
         after = self.sequence if self._epoch_of_tiles == cut.epoch else None
-        with self._view.reading() as rough_map:
-            frozen = rough_map.freeze(after=-1 if after is None else after)
-            outlived = self._outlived()
-        thread = threading.Thread(target=self._write, args=(cut, frozen, after, outlived), name="snapshot", daemon=True)
+        frozen = None
+        try:
+            with self._view.reading() as rough_map:
+                frozen = rough_map.freeze(after=-1 if after is None else after)
+                outlived = self._outlived()
+            args = cut, frozen, after, outlived
+            thread = threading.Thread(target=self._write, args=args, name="snapshot", daemon=True)
+            thread.start()
+        except (MemoryError, RuntimeError) as error:  # RuntimeError: the system gives no more threads
+            self._fail(error)
+            self._end(frozen)
+            return None
         self._thread = thread
-        thread.start()
         return thread
 
     def close(self, timeout: float) -> None:
@@ -128,14 +135,22 @@ class Snapshots:
             text = f"the map is stored through sequence {cut.sequence}"
             note(log, logging.INFO, "snapshot", text, sequence=cut.sequence, epoch=cut.epoch)
             self._delete_log(cut)
-        except (SpillError, StoreError, sqlite3.Error, OSError) as error:
-            named = isinstance(error, SpillError | StoreError)
-            self.error = str(error) if named else f"{self._store.path}: {error}"
-            note(log, logging.ERROR, "snapshot_failed", f"no snapshot: {self.error}", cause=self.error)
+        except (SpillError, StoreError, sqlite3.Error, OSError, MemoryError) as error:
+            self._fail(error)
         finally:
+            self._end(frozen)
+
+    def _fail(self, error: Exception) -> None:
+        assert self._store is not None  # noqa: S101 - offer() saw to it
+        why = str(error) or "no memory to write it"
+        self.error = why if isinstance(error, SpillError | StoreError) else f"{self._store.path}: {why}"
+        note(log, logging.ERROR, "snapshot_failed", f"no snapshot: {self.error}", cause=self.error)
+
+    def _end(self, frozen: Frozen | None) -> None:
+        if frozen is not None:
             with self._view.reading():
                 frozen.close()
-            self._busy.release()
+        self._busy.release()
 
     def _delete_log(self, cut: Cut) -> None:
         if self._keep is None:
