@@ -36,6 +36,63 @@ class Decision:
     poses: tuple[Pose, ...] = ()
 
 
+@dataclass(slots=True)
+class Row:
+    """Clouds in order of arrival, which leave it from its front alone."""
+
+    clouds: deque[WaitingCloud] = field(default_factory=deque)
+    rising: deque[WaitingCloud] = field(default_factory=deque)
+    """Those behind which none is earlier: the first has the earliest time of all."""
+
+    def append(self, cloud: WaitingCloud) -> None:
+        """Take a cloud in."""
+        self.clouds.append(cloud)
+        while self.rising and self.rising[-1].first_ns > cloud.first_ns:
+            self.rising.pop()
+        self.rising.append(cloud)
+
+    def popleft(self) -> None:
+        """Let the first go."""
+        if self.rising[0] is self.clouds.popleft():
+            self.rising.popleft()
+
+
+@dataclass(slots=True)
+class RobotQueue:
+    """One robot's clouds, by whether they were promised, with what is asked at each message at hand: there may be
+    thousands. Only the first of each row ever goes: it is decided, or, if published, ended for want of room."""
+
+    published: Row = field(default_factory=Row)
+    promised: Row = field(default_factory=Row)
+    size: int = 0
+
+    def append(self, cloud: WaitingCloud) -> None:
+        """Take a cloud in."""
+        (self.promised if cloud.promised else self.published).append(cloud)
+        self.size += cloud.size
+
+    def remove(self, cloud: WaitingCloud) -> None:
+        """Let the first cloud of its row go."""
+        (self.promised if cloud.promised else self.published).popleft()
+        self.size -= cloud.size
+
+    def __len__(self) -> int:
+        return len(self.published.clouds) + len(self.promised.clouds)
+
+    @property
+    def first(self) -> WaitingCloud:
+        """The one that came first."""
+        return min((row.clouds[0] for row in self._rows()), key=lambda cloud: cloud.input)
+
+    @property
+    def earliest_ns(self) -> int:
+        """The smallest time of a point in any of them, in ns."""
+        return min(row.rising[0].first_ns for row in self._rows())
+
+    def _rows(self) -> list[Row]:
+        return [row for row in (self.published, self.promised) if row.clouds]
+
+
 @dataclass
 class Inbox:
     """Clouds in order of arrival a robot; robots don't wait for each other.
@@ -46,14 +103,15 @@ class Inbox:
 
     settings: Settings
     poses: Mapping[str, PoseBuffer]
-    queues: dict[str, deque[WaitingCloud]] = field(default_factory=dict)
+    queues: dict[str, RobotQueue] = field(default_factory=dict)
     ended: deque[Decision] = field(default_factory=deque)
     size: int = 0
 
     @property
     def waiting(self) -> int:
         """Clouds without a decision."""
-        return sum(len(queue) for queue in list(self.queues.values()))  # a copy: the status asks from its own thread
+        queues = list(self.queues.values())  # a copy: the status asks from its own thread
+        return sum(len(queue) for queue in queues)
 
     def has_room(self, size: int) -> bool:
         """Whether a cloud of ``size`` bytes fits without ending another; one alone does, which may hold more than its
@@ -62,7 +120,7 @@ class Inbox:
 
     def feed(self, cloud: WaitingCloud) -> None:
         """A cloud was logged. Past the limit the oldest published cloud of the robot that holds most ends."""
-        self.queues.setdefault(cloud.robot, deque()).append(cloud)
+        self.queues.setdefault(cloud.robot, RobotQueue()).append(cloud)
         self.size += cloud.size
         while self.size > self.settings.queue_limit and self.size > cloud.size:
             victim = self._victim()
@@ -72,8 +130,12 @@ class Inbox:
 
     def clock_reset(self, robot: str) -> None:
         """The robot's clock was set back: what waits for the old clock's poses waits in vain."""
-        for cloud in list(self.queues.get(robot, ())):
-            self._end(cloud, CloudReason.CLOCK_RESET)
+        while robot in self.queues:
+            self._end(self.queues[robot].first, CloudReason.CLOCK_RESET)
+
+    def holds_before(self, robot: str, stamp_ns: int) -> bool:
+        """Whether a cloud of the robot waits that has a point before that time."""
+        return robot in self.queues and self.queues[robot].earliest_ns < stamp_ns
 
     def tick(self, now: float) -> Decision | None:
         """The next decision at monotonic time ``now``, or None. Robots take turns, so that none waits behind all that
@@ -81,7 +143,7 @@ class Inbox:
         if self.ended:
             return self.ended.popleft()
         for robot, queue in self.queues.items():
-            decision = self._judge(queue[0], now)
+            decision = self._judge(queue.first, now)
             if decision is not None:
                 self.queues[robot] = self.queues.pop(robot)  # behind the others
                 self._remove(decision.cloud)
@@ -94,11 +156,11 @@ class Inbox:
             return 0.0
         if not self.queues:
             return None
-        return min(queue[0].arrival for queue in self.queues.values()) + self.settings.max_wait
+        return min(queue.first.arrival for queue in self.queues.values()) + self.settings.max_wait
 
     def oldest_input(self) -> int | None:
         """The smallest input number without a decision: the low-water position."""
-        waiting = [cloud.input for queue in self.queues.values() for cloud in queue]
+        waiting = [queue.first.input for queue in self.queues.values()]
         waiting += [decision.cloud.input for decision in self.ended]
         return min(waiting, default=None)
 
@@ -121,12 +183,8 @@ class Inbox:
         return None
 
     def _victim(self) -> WaitingCloud | None:
-        held = {robot: sum(cloud.size for cloud in queue) for robot, queue in self.queues.items()}
-        for robot in sorted(held, key=lambda name: held[name], reverse=True):
-            for cloud in self.queues[robot]:
-                if not cloud.promised:
-                    return cloud
-        return None
+        queues = [queue for queue in self.queues.values() if queue.published.clouds]
+        return max(queues, key=lambda queue: queue.size).published.clouds[0] if queues else None
 
     def _end(self, cloud: WaitingCloud, reason: CloudReason) -> None:
         self._remove(cloud)
@@ -134,10 +192,7 @@ class Inbox:
 
     def _remove(self, cloud: WaitingCloud) -> None:
         queue = self.queues[cloud.robot]
-        if queue[0] is cloud:
-            queue.popleft()
-        else:
-            queue.remove(cloud)
+        queue.remove(cloud)
         if not queue:
             del self.queues[cloud.robot]
         self.size -= cloud.size

@@ -24,9 +24,10 @@ from roughmap_schemas import (
     encode_event,
 )
 
+from .admission import admit
 from .apply import RunState, span
 from .counters import Counters
-from .fold import Content, decode
+from .fold import Content
 from .inbox import Decision, Inbox, WaitingCloud
 from .ingest import Duplicates
 from .intake import InputMessage, Intake
@@ -150,22 +151,26 @@ class Sequencer:
 
         self._intake.command(run)
         if not done.wait(timeout):
+            if not self._writer.ok:
+                raise self._log_fault("; what was asked for may still be done when it can")
             raise ShuttingDown("the sequencer did not come to it in time")
         if raised:
             raise raised[0]
 
     def reset(self) -> tuple[int, int]:
-        """Empty the map: a new epoch, durable before anyone sees it; (sequence, epoch) that begin with it. Call it
-        through `call`."""
+        """Empty the map: a new epoch, durable before anyone sees it; (sequence, epoch) that begin with it. Once logged
+        it comes before all else: while the disk fails, messages are refused, nothing is decided. Call it by `call`."""
         event = ResetEvent(epoch=self.state.epoch + 1, sequence=self.state.map.sequence + 1)
         if not self._writer.wait_room(IDLE_SECONDS):
-            raise MessageFault(Refusal.LOG_UNAVAILABLE, "the log can't be written")
+            raise self._log_fault()
         self._log_event(event)
         synced = threading.Event()
         self._writer.put(Sync(synced.set))
         while not synced.wait(IDLE_SECONDS):
             if self._stopping.is_set():
                 break  # nobody sees the map any more; what is logged behind the reset must be of the emptied one
+            if not self._writer.ok:
+                self._turn_away()
         with self.view.change() as rough_map:
             self._before_reset(rough_map)
             self.state.apply(event)
@@ -213,6 +218,16 @@ class Sequencer:
             self._next_snapshot = now + self._intervals.snapshot
         return bool(messages) or bool(commands) or decided
 
+    def _turn_away(self) -> None:
+        """A turn while a reset waits for a log that can't be written: what came in is refused, commands wait."""
+        self.turned = time.monotonic()
+        messages, commands, _ = self._intake.take(0.0)
+        for message in messages:
+            self._refuse(message, self._log_fault())
+        for command in commands:
+            self._intake.command(command)
+        self._memory.relieve(self.view.reading)
+
     def _wait_seconds(self) -> float:
         now = time.monotonic()
         due = [self._next_checkpoint, self._next_snapshot, now + IDLE_SECONDS]
@@ -231,11 +246,11 @@ class Sequencer:
             if first is not None:
                 self._acknowledge(message, first, duplicate=True)
                 return
-            content = self._check(message)
+            if not self._writer.ok:
+                raise self._log_fault()
+            content = admit(message, self.state.settings, self._robots, self.inbox)
         except MessageFault as fault:
-            self._counters.refuse(fault.code)
-            if message.reply is not None:
-                message.reply.refuse(fault)
+            self._refuse(message, fault)
             return
         if isinstance(content, Odometry):
             self._make_way(message.robot, content.stamp_ns)
@@ -255,43 +270,17 @@ class Sequencer:
         turn: so that a recording may be fed faster than it was made. It must come before the pose is logged, since a
         replay, too, forgets old poses at that place."""
         horizon = stamp_ns - self.state.settings.history_ns
-        while any(cloud.first_ns < horizon for cloud in self.inbox.queues.get(robot, ())):
+        while self.inbox.holds_before(robot, horizon):
             if not self._decide():
                 return
 
-    def _check(self, message: InputMessage) -> Content:
-        """Decode, and hold against the configuration what the bytes alone don't tell."""
-        if not self._writer.ok:
-            raise MessageFault(Refusal.LOG_UNAVAILABLE, f"the log can't be written: {self._writer.error}")
-        robots = self.state.settings.config.input.robots
-        if robots and message.robot not in robots:
-            raise MessageFault(Refusal.UNKNOWN_ROBOT, f"robot {message.robot!r} is not among input.robots")
-        if (
-            not robots
-            and message.robot not in self._robots
-            and len(self._robots) >= (most := self.state.settings.max_robots)
-        ):
-            raise MessageFault(
-                Refusal.UNKNOWN_ROBOT, f"{most} robots are known (input.max_robots); name yours in input.robots"
-            )
-        try:
-            content = decode(message.kind, message.payload, self.state.settings)
-        except MemoryError:
-            raise MessageFault(Refusal.BUSY, "there is no memory to decode the message; try again") from None
-        if isinstance(content, Cloud):
-            self._check_cloud(message, content)
-        return content
+    def _log_fault(self, more: str = "") -> MessageFault:
+        return MessageFault(Refusal.LOG_UNAVAILABLE, f"the log can't be written: {self._writer.error}{more}")
 
-    def _check_cloud(self, message: InputMessage, cloud: Cloud) -> None:
-        settings = self.state.settings
-        if cloud.frame_id != settings.frame_id and settings.sensor(message.robot, cloud.frame_id) is None:
-            raise MessageFault(
-                Refusal.UNKNOWN_SENSOR,
-                f"frame {cloud.frame_id!r} is neither the map's ({settings.frame_id!r}) nor a configured sensor "
-                f"([sensors.{cloud.frame_id}])",
-            )
-        if message.reply is not None and not self.inbox.has_room(cloud.held_bytes):
-            raise MessageFault(Refusal.BUSY, "clouds wait for their poses up to input.queue_limit; try again")
+    def _refuse(self, message: InputMessage, fault: MessageFault) -> None:
+        self._counters.refuse(fault.code)
+        if message.reply is not None:
+            message.reply.refuse(fault)
 
     def _take_up(self, number: int, message: InputMessage, content: Content) -> None:
         if isinstance(content, Cloud):

@@ -235,6 +235,30 @@ def test_a_reset_clock_ends_all_that_its_robot_waits_with() -> None:
     assert desk.inbox.oldest_input() is None
 
 
+@pytest.mark.parametrize("promised", [0, 1])
+def test_what_a_message_costs_does_not_grow_with_what_waits(promised: int) -> None:
+    """Else many small clouds, which pile up fastest, would be what the sequencer is slowest at."""
+
+    class Looked(WaitingCloud):
+        looks = 0
+
+        def __getattribute__(self, name: str) -> object:
+            Looked.looks += 1
+            return super().__getattribute__(name)
+
+    def looks(waiting: int) -> int:
+        inbox = Inbox(Settings(config(input={"queue_limit": waiting, "max_message": 1})), {})
+        for number in range(waiting + 1):
+            Looked.looks = 0
+            held = Cloud("lidar", T0 + number, np.zeros((1, 3)), None)
+            inbox.feed(Looked(number, "a", held, T0 + number, T0 + number, 0.0, 1, number < promised))
+            assert not inbox.holds_before("a", T0)
+        assert [decision.cloud.input for decision in inbox.ended] == [promised], "the last one had no room"
+        return Looked.looks
+
+    assert looks(300) == looks(30)
+
+
 def test_robots_take_turns() -> None:
     """Whoever sent much holds nobody up: another robot's cloud comes next, not behind all of it."""
     desk = Desk()

@@ -63,7 +63,12 @@ def test_one_decision_a_cloud_in_order(row: list[tuple]) -> None:
                 decisions.append(decision)
         undecided = set(clouds) - {d.cloud.input for d in decisions}
         assert inbox.oldest_input() == min(undecided, default=None)
-        assert inbox.size == sum(clouds[n].size for n in undecided) - sum(d.cloud.size for d in inbox.ended)
+        waiting = [clouds[n] for n in undecided - {d.cloud.input for d in inbox.ended}]
+        assert inbox.size == sum(cloud.size for cloud in waiting)
+        for robot in ROBOTS:
+            first = min((cloud.first_ns for cloud in waiting if cloud.robot == robot), default=None)
+            for stamp in (T0, *(cloud.first_ns + after for cloud in waiting for after in (0, 1))):
+                assert inbox.holds_before(robot, stamp) == (first is not None and first < stamp)
     while (due := inbox.deadline()) is not None:
         decision = inbox.tick(due)
         assert decision is not None, "at its deadline something is due"

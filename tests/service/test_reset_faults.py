@@ -1,0 +1,107 @@
+"""A reset while the disk fails: it comes first when the disk is back, and holds nobody up until then."""
+
+import errno
+import io
+import threading
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from net import WAIT_S, open_pair, wait_for
+from service_tools import Run, cloud, events_of, read_back
+
+from roughmap import RoughMap
+from roughmap_client import QueryRefused
+from roughmap_client.asking import ask
+from roughmap_schemas import MessageFault, Receipt, ResetEvent
+from roughmap_schemas.encodings import POINT_CLOUD
+from roughmap_service.counters import Counters
+from roughmap_service.ingest import Replies
+from roughmap_service.intake import Intake, ZenohInputs
+from roughmap_service.memory import Memory
+from roughmap_service.sequencer import Intervals, Sequencer
+from roughmap_service.spill import Spill
+
+
+class Disk:
+    """Its files take nothing while it is ``full``; ``failed`` is set when one did not."""
+
+    def __init__(self) -> None:
+        self.full = False
+        self.failed = threading.Event()
+
+    def open(self, path: Path) -> Any:
+        disk = self
+
+        class File(io.FileIO):
+            def write(self, data: Any) -> int:
+                if disk.full:
+                    disk.failed.set()
+                    raise OSError(errno.ENOSPC, "No space left on device", str(path))
+                return super().write(data)
+
+        return io.BufferedWriter(File(path, "xb"))
+
+
+class Service:
+    """A sequencer between real requests and a log on a disk that may fail; its map holds one scan."""
+
+    def __init__(self, directory: Path, stack: ExitStack) -> None:
+        self.disk = Disk()
+        server, self.client = stack.enter_context(open_pair())
+        self.run = stack.enter_context(Run(directory, open_file=self.disk.open))
+        self.run.scan(0.0)
+        counters, intake = Counters(), Intake(1 << 20, Counters())
+        spill = stack.enter_context(Spill(directory / "tiles.spill", 1 << 30))
+        self.sequencer = Sequencer(
+            self.run.state, self.run.view, self.run.writer, intake, counters, Memory(1 << 40, spill),
+            self.run.duplicates, self.run.keys, Intervals(3600.0, 3600.0), publish_event=lambda _: None,
+            take_snapshot=lambda: None, before_reset=lambda _: None,
+        )  # fmt: skip
+        replies = stack.enter_context(Replies())
+        stack.enter_context(ZenohInputs(server, self.run.keys, intake, replies, 1 << 20, counters))
+        stack.callback(lambda: self.sequencer.stop(WAIT_S))
+        self.sequencer.start([])
+        self.sequencer.call(lambda: None, WAIT_S)  # it begins with a checkpoint
+        assert self.run.writer.wait_synced(WAIT_S)
+        known = threading.Event()
+        querier = self.client.declare_querier("maps/site/ingest/rover/transform")  # declared last
+        querier.declare_matching_listener(lambda status: known.set() if status.matching else None)
+        if not querier.matching_status.matching:
+            wait_for(known, "the declarations")
+
+    def ingest(self, t: float) -> Receipt:
+        """A cloud in the map's frame, answered when the log holds it."""
+        key, payload = "maps/site/ingest/rover/points", cloud(t, frame="map")
+        part = ask(self.client, key, timeout=10.0, payload=payload, encoding=POINT_CLOUD).single()
+        return Receipt.model_validate_json(part.payload)
+
+
+def test_a_reset_that_meets_a_full_disk_holds_up_no_refusal_and_comes_when_there_is_room(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        service = Service(tmp_path, stack)
+        sequencer, done = service.sequencer, list[tuple[int, int]]()
+        before = (service.run.state.map.sequence, service.run.state.epoch)
+        service.disk.full = True
+        asking = threading.Thread(target=sequencer.call, args=(lambda: done.append(sequencer.reset()), WAIT_S))
+        asking.start()
+        wait_for(service.disk.failed, "the disk to refuse the reset")
+        with pytest.raises(QueryRefused, match="log_unavailable"):
+            service.ingest(1.0)
+        turned = sequencer.turned
+        with pytest.raises(QueryRefused, match="No space left"):
+            service.ingest(1.0)
+        assert sequencer.turned > turned, "nobody takes it for stalled"
+        with pytest.raises(MessageFault, match=r"log_unavailable.*may still be done"):
+            sequencer.call(lambda: done.append((0, 0)), 0.01)
+        assert (service.run.state.map.sequence, service.run.state.epoch, done) == (*before, [])
+        service.disk.full = False
+        asking.join(WAIT_S)
+        assert done == [(before[0] + 1, before[1] + 1), (0, 0)]
+        assert service.run.state.map.digest() == RoughMap().digest()
+        assert not service.ingest(1.0).duplicate
+    events = events_of(read_back(tmp_path))
+    kinds = [event.kind for event in events]
+    assert events[kinds.index("reset")] == ResetEvent(epoch=before[1] + 1, sequence=before[0] + 1)
+    assert kinds[kinds.index("reset") + 1] == "integration"
