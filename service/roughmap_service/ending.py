@@ -9,11 +9,13 @@ log = logging.getLogger(__name__)
 
 
 class Ending:
-    """Counts down from `begin`; when nothing is left, the process ends as one that failed, whatever it waits for."""
+    """Counts down from `begin`; when nothing is left, the process ends, whatever it waits for: as one that failed,
+    unless all was on the disk by then."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
         self._until: float | None = None
+        self._kept = False
 
     def begin(self) -> None:
         """The end has begun; later calls change nothing."""
@@ -29,7 +31,14 @@ class Ending:
         assert self._until is not None  # noqa: S101 - begin() set it
         return max(self._until - time.monotonic(), 0.0) * share
 
+    def kept(self) -> None:
+        """All is on the disk: what is waited for from here on are links, and a client that stalls may hold its own."""
+        self._kept = True
+
     def _give_up(self) -> None:
+        if self._kept:
+            log.warning("links of clients that stopped reading are cut; all is on the disk")
+            os._exit(0)
         log.critical(
             "the service did not end within service.shutdown_timeout (%g s): what was not on the disk is lost",
             self._seconds,

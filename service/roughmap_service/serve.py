@@ -222,6 +222,7 @@ def _run(
         intake.close()
     if not whole:
         raise ServiceFailed(f"the end of the log is lost: {writer.error or 'the disk did not take it in time'}")
+    ending.kept()
 
 
 def _end(sequencer: Sequencer, view: View, snapshots: Snapshots, cut: Callable[[], None], ending: Ending) -> None:
