@@ -110,9 +110,10 @@ def test_points_beyond_all_maps(target: Target, far: float) -> None:
 
 
 def test_heights_beyond_all_measure(target: Target) -> None:
-    """A height is no place: it is taken, and spoils its cell alone."""
+    """A height whose square is no number is out of bounds; half as many digits spoil their cell alone."""
     with target.survives():
-        assert placed(target, np.array([[-50.05, 50.05, 1e300], [-50.05, 50.05, -1e300]]))[1] == 2
+        assert placed(target, np.array([[-50.05, 50.05, 1e300], [-50.05, 50.05, -1e300]]))[:2] == ("empty", 0)
+        assert placed(target, np.array([[-50.05, 50.05, 1e149], [-50.05, 50.05, -1e149]]))[1] == 2
         target.feed.client.region((-51.0, 49.0, -49.0, 51.0), ["mean_height", "std_dev", "slope", "traversability"])
 
 

@@ -20,6 +20,9 @@ from roughmap_schemas.faults import ConfigFault
 from roughmap_service.cli.main import run
 
 CANARY = "c4n4ry"
+NO_PAGES = ("--set", "http.listen=")
+"""The default port of the pages may be taken here."""
+
 IN_ENDPOINT = f"tcp/127.0.0.1:0#password={CANARY}"
 
 
@@ -148,7 +151,7 @@ def test_a_password_on_the_command_line_is_refused(capsys: pytest.CaptureFixture
 )  # fmt: skip
 def test_a_bad_zenoh_file_is_not_quoted(tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str) -> None:
     file = zenoh_file(tmp_path, text)
-    settings = ["--set", f"log.directory={tmp_path / 'log'}", "--set", f"zenoh.config_file={file}"]
+    settings = ["--set", f"log.directory={tmp_path / 'log'}", "--set", f"zenoh.config_file={file}", *NO_PAGES]
     assert run(["serve", *settings]) == 2
     told = said(capsys)
     assert f"{file}: is no Zenoh configuration" in told
@@ -172,7 +175,7 @@ def test_what_can_not_be_reached_is_named_without_its_settings(
     feed = ["simulate", "--wait", "0.1", "--rings", "4", "--columns", "8", "--connect", endpoint]
     serve = [
         "serve", "--set", f"log.directory={tmp_path / 'log'}", "--set", "zenoh.mode=client", "--set", "zenoh.listen=",
-        "--set", f"zenoh.connect={json.dumps([endpoint])}",
+        "--set", f"zenoh.connect={json.dumps([endpoint])}", *NO_PAGES,
     ]  # fmt: skip
     for command in (ask, feed, serve):
         assert run(command) == 1, command[0]
@@ -185,7 +188,7 @@ def test_a_port_that_is_taken_is_named_without_its_settings(tmp_path: Path, caps
     with socket.create_server(("127.0.0.1", 0)) as other:
         endpoint = f"tcp/127.0.0.1:{other.getsockname()[1]}#z=1;a={CANARY}"
         listen = ["--set", f"zenoh.listen={json.dumps([endpoint])}", "--set", f"log.directory={tmp_path / 'log'}"]
-        assert run(["serve", *listen]) == 1
+        assert run(["serve", *listen, *NO_PAGES]) == 1
     told = said(capsys)
     assert "is the port in use?" in told
     assert CANARY not in told
