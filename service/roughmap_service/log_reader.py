@@ -13,7 +13,7 @@ from typing import IO, cast
 import zstandard
 from mcap.exceptions import EndOfFile, McapError
 from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from roughmap_schemas import Config, ContractError, Event, Keys, MessageFault, RunMetadata, decode_event
@@ -112,6 +112,8 @@ def raw_records(path: Path) -> Iterator[tuple[McapRecord, int]]:
                 if isinstance(record, Chunk):
                     for inner in records_in(record, most):
                         yield inner, end
+                elif isinstance(record, Schema | Channel | Message):
+                    raise ValueError("a record outside of all chunks, which have the checksums: its kind is damaged")
                 else:
                     if isinstance(record, Metadata) and record.name == RECORD_NAME:
                         most = _most_unpacked(record)

@@ -6,9 +6,10 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from mcap.opcode import Opcode
 from service_tools import Run, config, inputs_of, read_back
 
-from roughmap_service.log_reader import DamagedLog, LogError, raw_records
+from roughmap_service.log_reader import DamagedLog, LogError, raw_records, read_file
 from roughmap_service.recovery import Recovered, recover
 from roughmap_service.replay import replay
 from roughmap_service.store import Store, StoreError
@@ -145,3 +146,19 @@ def test_a_damaged_store_that_no_log_can_replace_is_left_alone(logs: Path, store
         recover(config(), logs, store)
     assert store.exists()
     assert len(inputs_of(read_back(logs))) == 12
+
+
+def test_an_index_that_became_a_message_is_damage(logs: Path) -> None:
+    """Kinds of records stand outside of all checksums, one bit apart: 7 is an index of messages, 5 a message."""
+    three_files(logs)
+    path = sorted(logs.iterdir())[0]
+    data = path.read_bytes()
+    at, found = 8, 0  # behind the magic bytes
+    while data[at] != Opcode.DATA_END:
+        if data[at] == Opcode.MESSAGE_INDEX:
+            found += 1
+            path.write_bytes(data[:at] + bytes([Opcode.MESSAGE]) + data[at + 1 :])
+            with pytest.raises(DamagedLog, match=r"outside of all chunks|damaged"):
+                list(read_file(path))
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    assert found
