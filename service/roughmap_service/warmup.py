@@ -1,5 +1,6 @@
 """Compiling what the first scan and the first query would otherwise wait for."""
 
+import logging
 import threading
 
 import numpy as np
@@ -9,8 +10,14 @@ from roughmap.memory import SlotPool
 from roughmap_schemas import Config, decode_cloud, encode_cloud
 
 from .apply import integrate
+from .logs import note
 from .poses import Pose
 from .settings import Settings, new_map
+
+log = logging.getLogger(__name__)
+
+TELL_SECONDS = 3.0
+"""What takes longer is no loading of kernels that an earlier start compiled."""
 
 LIMIT = 1 << 20
 """Bytes and points that the clouds in here stay below."""
@@ -20,10 +27,21 @@ UNTURNED = (0.0, 0.0, 0.0, 1.0)
 
 def warm_up(config: Config, stop: threading.Event) -> None:
     """Run the way of a scan once from a sensor and once in the map's frame, on a map of its own that is thrown away; no
-    further than ``stop`` being set.
+    further than ``stop`` being set. Where it takes long, the log says why.
 
     Kernels read points by address: they are the same for every layout of a cloud.
     """
+    text = "kernels are compiled, once: this takes a minute or more"
+    slow = threading.Timer(TELL_SECONDS, note, (log, logging.INFO, "compiling", text))
+    slow.daemon = True
+    slow.start()
+    try:
+        _run(config, stop)
+    finally:
+        slow.cancel()
+
+
+def _run(config: Config, stop: threading.Event) -> None:
     settings = Settings(config)
     sensors = [("", frame) for frame in config.sensors]
     sensors += [(robot, frame) for robot, own in config.robots.items() for frame in own.sensors]

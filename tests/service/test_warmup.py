@@ -1,5 +1,6 @@
 """What the first scan would wait for is compiled before the service is ready."""
 
+import logging
 import threading
 from itertools import product
 
@@ -15,6 +16,7 @@ import roughmap.integrate
 import roughmap.memory
 import roughmap.place
 from roughmap_schemas import Config, decode_cloud, encode_cloud
+from roughmap_service import warmup
 from roughmap_service.apply import integrate
 from roughmap_service.poses import Pose
 from roughmap_service.settings import Settings, new_map
@@ -61,3 +63,13 @@ def test_no_cloud_finds_a_kernel_uncompiled(model: str) -> None:
     assert {aligned for _, aligned, _ in layouts} == {True, False}, "both kinds came by"
     assert {packed for _, _, packed in layouts} == {True, False}, "and with other fields between"
     assert compiled() == before
+
+
+def test_a_start_that_takes_long_says_why(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = threading.Event()
+    monkeypatch.setattr(warmup, "TELL_SECONDS", 0.0)
+    monkeypatch.setattr(warmup, "note", lambda *args: (logging.getLogger().warning("%s: %s", *args[2:]), told.set()))
+    monkeypatch.setattr(warmup, "_run", lambda _config, _stop: told.wait(30))
+    warm_up(Config(), threading.Event())
+    assert caplog.messages == ["compiling: kernels are compiled, once: this takes a minute or more"]
+    assert not [thread for thread in threading.enumerate() if isinstance(thread, threading.Timer) and thread.is_alive()]

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Self
+from typing import IO, Any, Self
 
 import numpy as np
 
@@ -20,8 +20,11 @@ from roughmap_client.errors import RoughMapError
 from roughmap_service.cli.options import Failure
 from roughmap_service.rover import Rover
 
-READY_S = 180.0
-"""A first start compiles all kernels on what may be a slow machine."""
+READY_S = 900.0
+"""A first start compiles all kernels on what may be a slow and busy machine."""
+
+COMPILING = '"event": "compiling"'
+"""By this the service's log says why its start takes long."""
 
 STOP_S = 30.0
 REPLAY_S = 600.0
@@ -78,28 +81,39 @@ class _Process:
 
 
 class ServiceProcess(_Process):
-    """`roughmap serve` until it is ready; `endpoints` is where it listens."""
+    """`roughmap serve` until it is ready; `endpoints` is where it listens. ``compiling`` is called if it compiles."""
 
-    def __init__(self, config: Path, errors: Path) -> None:
+    def __init__(self, config: Path, errors: Path, compiling: Callable[[], None] = lambda: None) -> None:
         super().__init__(command("serve", "-c", str(config)), errors)
         self.endpoints: list[str] = []
+        self._compiling = compiling
 
     def __enter__(self) -> Self:
         lines: queue.Queue[str] = queue.Queue()
         threading.Thread(target=lambda: lines.put(self.stdout.readline()), name="ready line", daemon=True).start()
         try:
-            line = lines.get(timeout=READY_S)
+            line = self._ready_line(lines)
             if not line:
                 self.process.wait(STOP_S)
                 raise Failure(f"the service ended before it was ready: {self.last_words()}")
             self.endpoints = json.loads(line)["endpoints"]
-        except queue.Empty:
-            self.__exit__(None, None, None)
-            raise Failure(f"the service was not ready within {READY_S:g} s: {self.last_words()}") from None
         except BaseException:
             self.__exit__(None, None, None)
             raise
         return self
+
+    def _ready_line(self, lines: "queue.Queue[str]") -> str:
+        until, told = time.monotonic() + READY_S, False
+        while time.monotonic() < until:
+            with contextlib.suppress(queue.Empty):
+                return lines.get(timeout=1.0)
+            if not told and COMPILING in self._errors.read_text(errors="replace"):
+                told = True
+                self._compiling()
+        last = self.last_words()
+        raise Failure(
+            f"the service was not ready within {READY_S:g} s; run it again: what was compiled is kept ({last})"
+        )
 
     def stop(self) -> int:
         """SIGTERM; returns the exit code."""
@@ -121,8 +135,8 @@ class RoverProcess(_Process):
         drive = ["--duration", str(seconds), "--robots", str(robots), "--seed", str(seed), "--start-ns", str(start_ns)]
         super().__init__(command("simulate", *connect, *drive, "--json"), errors)
 
-    def wait(self, seconds: float, driven: Callable[[float], None]) -> dict[str, int]:
-        """What was published, once the rover has stopped; `driven` hears now and then for how long it has driven."""
+    def wait(self, seconds: float, driven: Callable[[float], None]) -> dict[str, Any]:
+        """What was published, in how many seconds; `driven` hears now and then for how long the rover has driven."""
         begun = time.monotonic()
         while True:
             try:
@@ -135,7 +149,7 @@ class RoverProcess(_Process):
                 driven(min(elapsed, self._duration))
         if self.process.returncode != 0:
             raise Failure(f"the rover failed: {self.last_words()}")
-        counts: dict[str, int] = json.loads(text)
+        counts: dict[str, Any] = json.loads(text)
         return counts
 
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -53,6 +54,7 @@ class Outcome:
     points_no_return: int
     points_rejected: int
     points_per_s: float
+    driving_s: float
     health: str
     lag_p50_s: float | None
     lag_p99_s: float | None
@@ -91,7 +93,7 @@ class Outcome:
             ("scans", f"{self.scans_integrated} of {self.scans_published} integrated{rejected}{dropped}"),
             ("points", f"{self.points:,} integrated, {self.points_rejected:,} rejected"),
             ("no return", f"{self.points_no_return:,} beams met nothing within the scanner's range"),
-            ("rate", f"{self.points_per_s:,.0f} points/s over {self.seconds:g} s of driving"),
+            ("rate", f"{self.points_per_s:,.0f} points/s over {self.driving_s:.1f} s of driving"),
             ("scan to queryable", _told(("p50", self.lag_p50_s), ("p99", self.lag_p99_s), 1e3, "ms")),
             (
                 f"query of {QUERY_SIDE_M:g} x {QUERY_SIDE_M:g} m",
@@ -119,8 +121,9 @@ def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int,
     fleet = rovers(robots, seed, start_ns)
     config.write_text(toml(settings(fleet[0], log_directory)))
     with ExitStack() as stack:
-        progress.step("starting the service (a first start compiles its kernels)")
-        service = stack.enter_context(ServiceProcess(config, out / "serve.txt"))
+        progress.step("starting the service")
+        told = partial(progress.step, "kernels are compiled, once: this takes a minute or more")
+        service = stack.enter_context(ServiceProcess(config, out / "serve.txt", told))
         client = stack.enter_context(RoughMapClient(MAP, connect=service.endpoints, timeout=10.0))
         progress.step(f"the service is ready at {service.endpoints[0]}; the rover drives for {seconds:g} s")
         driver = stack.enter_context(
@@ -157,7 +160,8 @@ def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int,
         points=status.points.accepted,
         points_no_return=status.points.rejected.get(PointReason.NO_RETURN, 0),
         points_rejected=sum(n for reason, n in status.points.rejected.items() if reason != PointReason.NO_RETURN),
-        points_per_s=status.points.accepted / seconds,
+        points_per_s=status.points.accepted / published["seconds"],
+        driving_s=published["seconds"],
         health=status.health,
         lag_p50_s=lag[0],
         lag_p99_s=lag[1],
