@@ -28,6 +28,9 @@ RATE_SAMPLES = 20_000
 BOUNDS = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 """Upper bounds in seconds under which durations are counted: from a fast disk's sync to a hopeless lag."""
 
+REFUSED_ROBOTS = 32
+"""Robots whose refusals are told apart in the log: with each reason, fewer than `logs.MAX_KINDS`."""
+
 OTHERS = "(others)"
 """The robots past the first `MAX_ROBOTS`, counted together; no robot can be named so."""
 
@@ -79,6 +82,7 @@ class Counters:
     def __init__(self, max_wait: float = 0.0) -> None:
         self._lock = threading.Lock()
         self._counts = Counts()
+        self._refused_robots: set[str] = set()
         self._late = max_wait + LATE_SECONDS
         self._overloaded_until = float("-inf")
         self._recent: deque[tuple[float, float, int]] = deque(maxlen=LAG_SAMPLES)
@@ -115,12 +119,15 @@ class Counters:
             else:
                 self._counts.poses_rejected[reason] += 1
 
-    def refuse(self, code: str) -> None:
-        """One message that never reached the log."""
+    def refuse(self, code: str, robot: str = OTHERS) -> str:
+        """One message that never reached the log; returns the name under which to tell of it."""
         with self._lock:
             self._counts.refused[code] += 1
+            if len(self._refused_robots) < REFUSED_ROBOTS:
+                self._refused_robots.add(robot)
             if code == "busy":
                 self._overloaded_until = time.monotonic() + OVERLOAD_SECONDS
+            return robot if robot in self._refused_robots else OTHERS
 
     def gap(self, robot: str, missing: int) -> None:
         """``missing`` messages of a robot were lost on the way here."""

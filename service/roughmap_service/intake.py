@@ -14,7 +14,7 @@ import zenoh
 
 from roughmap_schemas import Keys, MessageFault, Refusal, check_encoding, encodings
 
-from .counters import Counters
+from .counters import OTHERS, Counters
 from .ingest import Duplicates, Identity, IngestReply, Replies
 from .log_file import Kind
 from .logs import note
@@ -26,6 +26,9 @@ LEAST_COST = 256
 
 MAX_NUMBERED = 10_000
 """Streams (a robot's messages of a kind) whose gaps are counted."""
+
+MAX_TOLD = 500
+"""Characters of a log line about a message: what it holds comes from outside."""
 
 MAX_GAP = 1 << 32
 """A number that leaps further tells of no loss, but of another count."""
@@ -187,6 +190,15 @@ def _cost(message: InputMessage) -> int:
     return max(len(message.payload), LEAST_COST)
 
 
+def refuse(counters: Counters, robot: str, fault: MessageFault) -> None:
+    """Count a message that never reaches the log, and tell of it: a few lines a minute of each robot and reason."""
+    shown = counters.refuse(fault.code, robot)
+    if fault.code != Refusal.LOG_UNAVAILABLE:  # of which the log's own line tells
+        of = "" if robot == OTHERS else f"robot {robot}: "
+        text = f"{of}a message is refused, {fault.code}: {fault.message}"[:MAX_TOLD]
+        note(log, logging.WARNING, "refused", text, robot=shown, reason=str(fault.code))
+
+
 class ZenohInputs:
     """Subscribers and ingest queryables of one session, a context manager that undeclares them.
 
@@ -229,6 +241,7 @@ class ZenohInputs:
 
     def _sample_handler(self, kind: Kind, parse: Callable[[str], str]) -> Callable[[zenoh.Sample], None]:
         def handle(sample: zenoh.Sample) -> None:
+            robot = OTHERS
             try:
                 robot = parse(str(sample.key_expr))
                 if sample.kind == zenoh.SampleKind.DELETE:
@@ -236,7 +249,7 @@ class ZenohInputs:
                 self._count_gap(robot, kind, sample.attachment)
                 self._check(kind, str(sample.encoding), sample.payload)
             except MessageFault as fault:
-                self._counters.refuse(fault.code)
+                refuse(self._counters, robot, fault)
                 return
             payload = sample.payload.to_bytes()
             self._intake.put(InputMessage(kind, robot, payload, time.time_ns(), time.monotonic()))
@@ -245,7 +258,7 @@ class ZenohInputs:
 
     def _query_handler(self, kind: Kind, parse: Callable[[str], str]) -> Callable[[zenoh.Query], None]:
         def handle(query: zenoh.Query) -> None:
-            reply = IngestReply(query, self._replies)
+            reply, robot = IngestReply(query, self._replies), OTHERS
             try:
                 robot = parse(str(query.key_expr))
                 payload = query.payload
@@ -253,7 +266,7 @@ class ZenohInputs:
                     raise MessageFault(Refusal.BAD_MESSAGE, "expected the message as the request's payload, found none")
                 self._check(kind, str(query.encoding or ""), payload)
             except MessageFault as fault:
-                self._counters.refuse(fault.code)
+                refuse(self._counters, robot, fault)
                 reply.refuse(fault)
                 return
             self._intake.put(InputMessage(kind, robot, payload.to_bytes(), time.time_ns(), time.monotonic(), reply))

@@ -13,7 +13,7 @@ from typing import Any, Literal, TextIO
 Format = Literal["auto", "json", "text"]
 
 REPEAT_SECONDS, REPEATS = 60.0, 5
-"""Of lines of one kind (and one robot) so many are told in so many seconds, and then how many were not."""
+"""Of lines of one kind (one robot, one reason) so many are told in so many seconds, and then how many were not."""
 
 MAX_KINDS = 1024
 """Kinds of lines that are remembered for that: robots' names come from outside."""
@@ -55,7 +55,13 @@ class Lines(logging.StreamHandler[TextIO]):
     def emit(self, record: logging.LogRecord) -> None:
         """Write the record, or count it."""
         fields = getattr(record, "fields", {})
-        kind = record.name, record.levelno, getattr(record, "event", record.msg), fields.get("robot")
+        kind = (
+            record.name,
+            record.levelno,
+            getattr(record, "event", record.msg),
+            fields.get("robot"),
+            fields.get("reason"),
+        )
         if not getattr(record, "always", False) and not self._may_tell(kind, record):
             return
         super().emit(record)

@@ -30,7 +30,7 @@ from .counters import Counters
 from .fold import Content
 from .inbox import Decision, Inbox, WaitingCloud
 from .ingest import Duplicates
-from .intake import InputMessage, Intake
+from .intake import InputMessage, Intake, refuse
 from .log_file import Kind, LogRecord
 from .log_writer import LogWriter, Rotate, Sync
 from .logs import note
@@ -278,7 +278,7 @@ class Sequencer:
         return MessageFault(Refusal.LOG_UNAVAILABLE, f"the log can't be written: {self._writer.error}{more}")
 
     def _refuse(self, message: InputMessage, fault: MessageFault) -> None:
-        self._counters.refuse(fault.code)
+        refuse(self._counters, message.robot, fault)
         if message.reply is not None:
             message.reply.refuse(fault)
 

@@ -7,7 +7,11 @@ from collections.abc import Iterator
 
 import pytest
 
+from roughmap_schemas import MessageFault
 from roughmap_schemas.messages import MapStatus
+from roughmap_service import intake
+from roughmap_service.counters import OTHERS, REFUSED_ROBOTS, Counters
+from roughmap_service.intake import refuse
 from roughmap_service.logs import MAX_KINDS, REPEAT_SECONDS, REPEATS, JsonFormatter, Lines, TextFormatter, note, set_up
 from roughmap_service.status import Overload
 
@@ -67,6 +71,29 @@ def test_repeats_are_counted_and_told_with_the_next_line(logger: logging.Logger)
     told = [line.split(" WARNING ")[1] for line in stream.getvalue().splitlines()]
     few = [f"gap {number}" for number in range(REPEATS)]
     assert told == [*few, "another robot's", "another kind", f"gap 100 (and {100 - REPEATS} more like it before)"]
+
+
+def test_each_robot_s_first_refusal_of_a_kind_is_told_and_a_flood_of_names_is_not(
+    logger: logging.Logger, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream, _ = lines_to(logger, JsonFormatter())
+    monkeypatch.setattr(intake, "log", logger)
+    counters = Counters()
+    for _ in range(REPEATS + 1):
+        refuse(counters, "r1", MessageFault("unknown_sensor", "frame 'sonar'"))
+    refuse(counters, "r1", MessageFault("bad_message", "no cloud"))
+    refuse(counters, "r2", MessageFault("unknown_sensor", "frame 'radar'"))
+    refuse(counters, OTHERS, MessageFault("bad_key", "x" * 10_000))
+    told = [json.loads(line) for line in stream.getvalue().splitlines()]
+    assert [(line["robot"], line["reason"]) for line in told] == [
+        *[("r1", "unknown_sensor")] * REPEATS, ("r1", "bad_message"), ("r2", "unknown_sensor"), (OTHERS, "bad_key")
+    ]  # fmt: skip
+    assert told[0]["message"] == "robot r1: a message is refused, unknown_sensor: frame 'sonar'"
+    assert len(told[-1]["message"]) < 1000
+    for number in range(2 * MAX_KINDS):
+        refuse(counters, f"flood{number}", MessageFault("unknown_robot", "not in input.robots"))
+    assert len(stream.getvalue().splitlines()) <= len(told) + REFUSED_ROBOTS + REPEATS
+    assert counters.snapshot().refused["unknown_robot"] == 2 * MAX_KINDS
 
 
 def test_what_was_counted_last_is_told_at_the_end(logger: logging.Logger) -> None:

@@ -43,6 +43,9 @@ def serve(
     text = f"roughmap {release} starts; map {loaded.config.map.name!r}, configuration: {source}"
     note(log, logging.INFO, "start", text, map=loaded.config.map.name, version=release, configuration=source)
 
+    if not loaded.config.sensors and not any(robot.sensors for robot in loaded.config.robots.values()):
+        log.warning("no sensors: only clouds in the map's own frame are taken; add [sensors.FRAME_ID]")
+
     from roughmap_service.serve import serve as run
 
     stop = threading.Event()
