@@ -30,8 +30,9 @@ PAGE = """<!doctype html>
 def application(sources: Sources) -> Starlette:
     """The pages as an application. What may wait for a scan's integration runs in a thread, not in the event loop."""
 
-    async def healthz(_: Request) -> Response:
-        return JSONResponse({"alive": True})
+    async def healthz(request: Request) -> Response:
+        name = {"map": sources.map} if request.scope[AUTHORISED] and sources.map else {}
+        return JSONResponse({"alive": True, **name})
 
     async def readyz(request: Request) -> Response:
         problems = sources.readiness.problems()

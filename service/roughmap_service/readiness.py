@@ -79,6 +79,7 @@ class Sources:
     """Where the pages have what they show; what is None is not there yet."""
 
     readiness: Readiness
+    map: str = ""
     url: str | None = None
     status: Callable[[], MapStatus] | None = None
     metrics: Callable[[], bytes] | None = None

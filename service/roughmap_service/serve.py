@@ -94,7 +94,7 @@ def serve(
     check_exposure(session_config, loaded, insecure=insecure)
     with ExitStack() as stack:
         stack.enter_context(_locked(directory, store))
-        sources = Sources(Readiness())
+        sources = Sources(Readiness(), config.map.name)
         if config.http.listen is not None:
             sources.url = stack.enter_context(HttpServer(config.http, sources, insecure=insecure)).url
         session = stack.enter_context(open_session(session_config))
@@ -112,7 +112,10 @@ def serve(
             log.info("ended before it was ready")
             return
         sequence, epoch = recovered.state.map.sequence, recovered.epoch
-        text = f"the map is back at sequence {sequence}, epoch {epoch}; {len(recovered.undecided)} clouds are undecided"
+        undecided = len(recovered.undecided)
+        text = f"the map is back at sequence {sequence}, epoch {epoch}; {undecided} clouds are undecided"
+        if recovered.run is None:
+            text = f"a new map, {config.map.name!r}"
         note(log, logging.INFO, "map_recovered", text, sequence=sequence, epoch=epoch, run=recovered.run)
         if not stop.is_set():
             try:

@@ -12,6 +12,7 @@ import pytest
 import zenoh
 from live_service import live_service
 from net import peer_config
+from operate_pages import address, pages
 
 from roughmap_schemas import encode_cloud, encode_odometry, encode_transform
 from roughmap_schemas.config import Config
@@ -22,6 +23,7 @@ from roughmap_service.cli.doctor_traffic import Traffic
 from roughmap_service.cli.main import run
 from roughmap_service.intake import ENCODINGS
 from roughmap_service.log_file import Kind
+from roughmap_service.readiness import Readiness, Sources
 from roughmap_service.settings import Settings
 from roughmap_service.transport import endpoints
 
@@ -250,10 +252,28 @@ class Publishing:
 def test_beside_a_service_that_is_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with live_service(tmp_path, "[sensors.lidar]\nrange_sigma = 0.02\n") as service:
         endpoint = service.endpoints[0]
+        file = write(tmp_path, endpoint)
         with Publishing(endpoint):
-            areas = heard(capsys, write(tmp_path, endpoint))
+            areas = heard(capsys, file)
+        with zenoh.open(peer_config(connect=[endpoint], mode="client")) as session:
+            assert list(session.get("maps/site/ingest/r1/points", payload=b"no cloud", timeout=30.0))
+        assert run(["doctor", "-c", str(file), "--seconds", "0"]) == 0
+    told = capsys.readouterr().out
+    assert "note   robots    the service refused 1 messages since its start: bad_message 1\n" in told
     assert areas["zenoh"] == ["ok"]
     assert areas["r1"][:2] == ["ok", "ok"], "clouds and odometry were heard through the service"
+
+
+def test_a_service_that_answers_on_its_pages_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """So it is while it starts."""
+    with socket.create_server(("127.0.0.1", 0)) as other, pages(Sources(Readiness(), "site")) as server:
+        listen, taken = "{}:{}".format(*address(server)), f"tcp/127.0.0.1:{other.getsockname()[1]}"
+        file = write(tmp_path, taken)
+        file.write_text(file.read_text().replace('[http]\nlisten = ""', f'[http]\nlisten = "{listen}"'))
+        code, areas = doctor(capsys, file, "--seconds", "0")
+        assert (code, areas["zenoh"], areas["http"]) == (0, ["note"], ["ok"])
+        code, areas = doctor(capsys, file, "--seconds", "0", "--set", "map.name=other")
+        assert (code, areas["zenoh"], areas["http"]) == (1, ["wrong"], ["wrong"]), "another map's service"
 
 
 def test_in_the_service_s_place_with_a_router_that_is_there_and_one_that_is_not(

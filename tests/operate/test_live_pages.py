@@ -114,7 +114,7 @@ def test_log_lines_tell_the_events_and_nothing_tells_the_token(live: Running) ->
     assert live.service.stop() == 0
     lines: list[dict[str, Any]] = [json.loads(line) for line in live.service.err]
     told = {line["event"]: line for line in lines if line.get("event")}
-    assert list(told) == ["start", "map_recovered", "ready", "robot", "gap", "shutdown", "end"]
+    assert list(told) == ["start", "map_recovered", "ready", "robot", "gap", "refused", "shutdown", "end"]
     assert told["ready"]["http"] == live.url
     assert (told["gap"]["robot"], told["gap"]["missing"]) == ("rover1", 3)
     assert (told["shutdown"]["points"], told["shutdown"]["refused"]) == (4, {"bad_message": 1})

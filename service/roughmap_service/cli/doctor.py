@@ -15,9 +15,13 @@ if TYPE_CHECKING:
     import zenoh
 
     from roughmap_schemas.config_load import LoadedConfig
+    from roughmap_schemas.messages import MapStatus
 
 REACH_S = 2.0
 """How long an endpoint may take to answer."""
+
+STATUS_S = 10.0
+"""How long a service that is there may take to tell its status: the machine may be busy."""
 
 
 @click.command
@@ -67,18 +71,23 @@ def _session(loaded: "LoadedConfig", stack: ExitStack) -> tuple["zenoh.Session |
     from roughmap_client.errors import RoughMapError
     from roughmap_schemas.faults import ConfigFault
     from roughmap_service.cli.connection import client_config, open_client
+    from roughmap_service.cli.health import served_map
     from roughmap_service.transport import TransportError, open_session, zenoh_config
 
     config = loaded.config
     try:
         session = stack.enter_context(open_client(client_config(loaded, ()), REACH_S))
-        client = RoughMapClient(config.map.name, session=session, timeout=REACH_S, keys=config.keys)
+        client = RoughMapClient(config.map.name, session=session, timeout=STATUS_S, keys=config.keys)
         status = client.status()
         told = f"the service is up for {status.uptime_s:.0f} s, health {status.health}; doctor listens beside it"
         verdict = Finding("zenoh", "ok" if status.health == "ok" else "wrong", told)
-        return session, True, [verdict, *_peers(loaded)]
-    except (Failure, RoughMapError, ConfigFault):
+        return session, True, [verdict, *_refused(status), *_peers(loaded)]
+    except (Failure, RoughMapError, ConfigFault) as error:
         stack.close()  # nobody is there, or somebody else
+        if config.http.listen is not None and served_map(config) == config.map.name:
+            told = f"the service is up, as http.listen says, but does not answer over Zenoh: {error}"
+            mend = "`roughmap health` says whether it still starts; if not, does it listen on this zenoh.listen?"
+            return None, True, [Finding("zenoh", "note", told, mend)]
     try:
         session = stack.enter_context(open_session(zenoh_config(loaded)))
     except (TransportError, ConfigFault) as error:
@@ -86,6 +95,15 @@ def _session(loaded: "LoadedConfig", stack: ExitStack) -> tuple["zenoh.Session |
     where = ", ".join(endpoint.partition("#")[0] for endpoint in config.zenoh.listen) or "nowhere"
     told = f"no service is up; doctor listens in its place on {where}"
     return session, False, [Finding("zenoh", "ok", told), *_peers(loaded)]
+
+
+def _refused(status: "MapStatus") -> list[Finding]:
+    """What the running service did not take."""
+    if not status.refused:
+        return []
+    reasons = ", ".join(f"{reason} {number}" for reason, number in status.refused.items())
+    told = f"the service refused {sum(status.refused.values())} messages since its start: {reasons}"
+    return [Finding("robots", "note", told, "its log lines `refused` name the robot and the cause")]
 
 
 def _peers(loaded: "LoadedConfig") -> list[Finding]:

@@ -11,7 +11,7 @@ import click
 from roughmap_schemas.config import Config
 from roughmap_schemas.config_load import LoadedConfig
 from roughmap_service.cli.options import Failure, config_options, json_option, load, reachable
-from roughmap_service.http_token import token_of
+from roughmap_service.http_token import HttpError, token_of
 
 TIMEOUT_S = 3.0
 
@@ -46,24 +46,43 @@ def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], a
     return 0 if works else 1
 
 
+def served_map(config: Config) -> str | None:
+    """The name of the map whose service answers on http.listen; None if none does."""
+    try:
+        answer = _page(config, "/healthz")
+        return str(answer["map"])
+    except (Failure, HttpError, LookupError, TypeError):
+        return None
+
+
 def _ask_page(config: Config) -> dict[str, str]:
     """The problems that the readiness page tells."""
+    try:
+        problems: dict[str, str] = dict(_page(config, "/readyz")["problems"])
+    except (ValueError, LookupError, TypeError):
+        raise _no_service(reachable(config.http.listen or "")) from None
+    return problems
+
+
+def _no_service(where: str) -> Failure:
+    return Failure(f"what answers on http://{where} is no roughmap service; is http.listen right?")
+
+
+def _page(config: Config, path: str) -> Any:
+    """What a page answers, as JSON; Failure if nobody does, or nothing that is JSON."""
     where = reachable(config.http.listen or "")
     token = token_of(config.http)
     headers = {"Authorization": f"Bearer {token.decode()}"} if token else {}
     connection = http.client.HTTPConnection(where, timeout=TIMEOUT_S)
     try:
-        connection.request("GET", "/readyz", headers=headers)
-        response = connection.getresponse()
-        answer: Any = json.loads(response.read(MAX_ANSWER))
-        problems: dict[str, str] = dict(answer["problems"])
+        connection.request("GET", path, headers=headers)
+        return json.loads(connection.getresponse().read(MAX_ANSWER))
     except OSError as error:
         raise Failure(f"nobody answers on http://{where} ({error.strerror or error})") from None
-    except (http.client.HTTPException, ValueError, LookupError, TypeError):
-        raise Failure(f"what answers on http://{where} is no roughmap service; is http.listen right?") from None
+    except (http.client.HTTPException, ValueError):
+        raise _no_service(where) from None
     finally:
         connection.close()
-    return problems
 
 
 def _ask_status(loaded: LoadedConfig) -> dict[str, str]:
