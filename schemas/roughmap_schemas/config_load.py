@@ -3,9 +3,10 @@
 A fault is one line: whence the value came, the key, what is allowed. Where each value came from is kept.
 """
 
+import difflib
 import json
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -129,10 +130,14 @@ def _put(values: dict[str, Any], given: dict[str, str], parts: tuple[str, ...], 
         raise ConfigFault(f"{source}: {dotted}: {parts[0]} can be set in a file only, as [{parts[0]}.NAME] tables")
     section = _section(parts[0])
     if section is None or len(parts) < 2:
-        raise ConfigFault(f"{source}: {dotted}: unknown key (allowed: SECTION.KEY with {', '.join(_sections())})")
+        meant = _meant(parts[0], _sections())
+        raise ConfigFault(
+            f"{source}: {dotted}: unknown key{meant} (allowed: SECTION.KEY with {', '.join(_sections())})"
+        )
     allowed = tuple(TEMPLATES) if parts[0] == "keys" else tuple(section.model_fields)
     if parts[1] not in allowed or len(parts) > (3 if parts[:2] == ("map", "limits") else 2):
-        raise ConfigFault(f"{source}: {dotted}: unknown key (allowed in {parts[0]}: {', '.join(allowed)})")
+        meant = _meant(parts[1], allowed)
+        raise ConfigFault(f"{source}: {dotted}: unknown key{meant} (allowed in {parts[0]}: {', '.join(allowed)})")
     table = values.setdefault(parts[0], {})
     if not isinstance(table, dict):
         raise ConfigFault(f"{given.get(parts[0], 'configuration')}: {parts[0]}: must be a table")
@@ -174,14 +179,20 @@ def _validated(values: dict[str, Any], given: Mapping[str, str], otherwise: str)
 
 
 def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> str:
-    """Put the first fault into one line."""
+    """Put the first fault into one line: an unknown key before all, since a key that is missing may stand there so."""
     errors = error.errors(include_url=False, include_context=False)
-    first = errors[0]
+    first = min(errors, key=lambda fault: fault["type"] != "extra_forbidden")
     parts = tuple(str(part) for part in first["loc"] if part != "[key]")
     dotted = ".".join(parts)
     text = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     if first["type"] == "extra_forbidden":
-        text = f"unknown key (allowed: {', '.join(_allowed(parts[:-1]))})"
+        allowed = _allowed(parts[:-1])
+        text = f"unknown key{_meant(parts[-1], allowed)} (allowed: {', '.join(allowed)})"
+    elif first["type"] == "missing" and isinstance(first["loc"][-1], int):
+        short = [fault for fault in errors if fault["type"] == "missing" and fault["loc"][:-1] == first["loc"][:-1]]
+        dotted = ".".join(parts[:-1])
+        text = f"expected {first['loc'][-1] + len(short)} values, found {first['loc'][-1]}"
+        errors = errors[len(short) - 1 :]
     elif first["type"] == "missing":
         text = "is required"
     elif first["type"] == "string_pattern_mismatch":
@@ -197,6 +208,12 @@ def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> s
     source = next((given[known] for known in _prefixes(dotted) if known in given), otherwise)
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
     return f"{source.removeprefix('file ')}: {dotted}: {text}{more}".replace("\n", " ")
+
+
+def _meant(key: str, allowed: Sequence[str]) -> str:
+    """Name the key that was probably meant, if any."""
+    close = difflib.get_close_matches(key, allowed, 1)
+    return f", did you mean {close[0]}?" if close else ""
 
 
 def _prefixes(dotted: str) -> Iterator[str]:

@@ -211,11 +211,25 @@ def test_a_sensor_must_say_how_far_it_is_to_be_believed() -> None:
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"mapp": {}}, "here.toml: mapp: unknown key (allowed: map, zenoh, "),
-        ({"map": {"cell_sise": 1}}, "here.toml: map.cell_sise: unknown key (allowed: name, frame_id, cell_size, "),
-        (lidar(range=1), "here.toml: sensors.lidar.range: unknown key (allowed: translation, "),
-        ({"robots": {"r1": {"sensor": {}}}}, "here.toml: robots.r1.sensor: unknown key (allowed: sensors)"),
+        ({"mapp": {}}, "here.toml: mapp: unknown key, did you mean map? (allowed: map, zenoh, "),
+        (
+            {"map": {"cell_sise": 1}},
+            "here.toml: map.cell_sise: unknown key, did you mean cell_size? (allowed: name, frame_id, cell_size, ",
+        ),
+        (
+            lidar(range=1),
+            "here.toml: sensors.lidar.range: unknown key, did you mean min_range? (allowed: translation, ",
+        ),
+        (
+            {"robots": {"r1": {"sensor": {}}}},
+            "here.toml: robots.r1.sensor: unknown key, did you mean sensors? (allowed: sensors)",
+        ),
         ({"keys": {"tile": "a"}}, "here.toml: keys.tile: unknown (allowed: points, "),
+        (
+            {"sensors": {"lidar": {"range_sgima": 1}}},
+            "here.toml: sensors.lidar.range_sgima: unknown key, did you mean range_sigma? (allowed: ",
+        ),
+        (lidar(rotation=[0, 0]), "here.toml: sensors.lidar.rotation: expected 4 values, found 2"),
         ({"map": 5}, "here.toml: map: must be a table; found 5"),
     ],
 )

@@ -129,8 +129,11 @@ def test_one_limit_alone_over_those_below(file: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("ROUGHMAP_MAP__CELL_SISE", "map.cell_sise: unknown key (allowed in map: name, frame_id, cell_size, "),
-        ("ROUGHMAP_MAPP__NAME", "mapp.name: unknown key (allowed: SECTION.KEY with map, zenoh, "),
+        (
+            "ROUGHMAP_MAP__CELL_SISE",
+            "map.cell_sise: unknown key, did you mean cell_size? (allowed in map: name, frame_id, cell_size, ",
+        ),
+        ("ROUGHMAP_MAPP__NAME", "mapp.name: unknown key, did you mean map? (allowed: SECTION.KEY with map, zenoh, "),
         ("ROUGHMAP_MAP", "map: unknown key"),
         ("ROUGHMAP_", "unknown key"),
         ("ROUGHMAP_MAP_NAME", "map_name: unknown key"),
@@ -152,7 +155,7 @@ def test_a_fault_names_whence_the_value_came(file: Path, tmp_path: Path) -> None
     assert fault(file, {"map.levels": 0}, {"ROUGHMAP_MAP__LEVELS": "3"}).startswith("command line: map.levels: must be")
     for text, words in (
         ("map.levels = 0", "map.levels: must be greater than or equal to 1; found 0"),
-        ("map.cell_sise = 1", "map.cell_sise: unknown key (allowed: name, "),
+        ("map.cell_sise = 1", "map.cell_sise: unknown key, did you mean cell_size? (allowed: name, "),
         ("[sensors.lidar]", "sensors.lidar.range_sigma: is required"),
         ("log.keep = 5", "log.keep: must be"),
         ("map = 5", "map: must be a table"),
