@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, cast
 
 import zstandard
-from mcap.exceptions import EndOfFile, McapError
+from mcap.exceptions import EndOfFile, InvalidMagic, McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
@@ -24,6 +24,8 @@ from .log_file import INPUTS, Kind
 
 MAGIC = bytes([137, 77, 67, 65, 80, 48, 13, 10])
 """With which an MCAP file begins, and ends if it was closed."""
+
+NO_MCAP = "is no MCAP file"
 
 MAX_RECORD_BYTES = 1 << 30
 """No record is larger; a damaged length must not become an allocation."""
@@ -120,6 +122,8 @@ def raw_records(path: Path) -> Iterator[tuple[McapRecord, int]]:
                     yield record, end
         except EndOfFile:
             raise _end_of(path) from None
+        except InvalidMagic:
+            raise DamagedLog(path, NO_MCAP) from None
         except _DAMAGE as error:
             if isinstance(error, struct.error | UnicodeDecodeError) and not stream.read(1):
                 # The library tells an end at a field's beginning from damage, but not one in the midst of a field.
@@ -140,7 +144,9 @@ def _end_of(path: Path) -> LogError:
     """What it means that a file's records go on past its end."""
     if is_closed(path):
         return DamagedLog(path, "damaged: a record goes on past the end, though the file was closed in order")
-    return TornLog(f"{path}: the file ends before its footer")
+    with path.open("rb") as stream:
+        begun = MAGIC.startswith(stream.read(len(MAGIC)))
+    return TornLog(f"{path}: {'the file ends before its footer' if begun else NO_MCAP}")
 
 
 def _told(error: Exception) -> str:
@@ -243,10 +249,11 @@ def find_files(paths: Iterable[Path]) -> list[RunFile]:
     return sorted(found.values(), key=lambda file: (file.metadata.run, file.metadata.index, file.path))
 
 
-def one_run(files: Sequence[RunFile]) -> list[RunFile]:
-    """Check that the files are one run without a gap. LogError that names what is missing or too much."""
+def one_run(files: Sequence[RunFile], found_in: Sequence[Path] = ()) -> list[RunFile]:
+    """Check that the files, which were looked for in ``found_in``, are one run without a gap. LogError that names what
+    is missing or too much."""
     if not files:
-        raise LogError("no log files (*.mcap) there")
+        raise LogError(f"no log files (*.mcap) in {', '.join(map(str, found_in)) or 'no folder'}")
     runs = sorted({file.metadata.run for file in files})
     if len(runs) > 1:
         raise LogError(f"logs of {len(runs)} runs ({', '.join(run[:8] for run in runs)}...): name those of one")

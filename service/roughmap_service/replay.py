@@ -76,6 +76,11 @@ def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watc
         sequence = reached.event.sequence if isinstance(reached, EventRecord) else state.map.sequence
         result.difference = f"sequence {sequence}: {error}"
         return result
+    if from_store is not None and state.record == taken:
+        raise ReplayError(
+            f"{from_store} holds all of this log already (sequence {state.map.sequence}): nothing is left to compare; "
+            "replay without --from compares the whole run"
+        )
     if not result.checkpoints:
         raise ReplayError("the logs hold no checkpoint to compare with")
     return result

@@ -136,7 +136,7 @@ def test_what_is_no_whole_run_is_refused(logs: Path, tmp_path: Path) -> None:
         drive(other, 0, 1)
     refused(replay(logs, tmp_path / "other"), "logs of 2 runs")
     (tmp_path / "empty").mkdir()
-    refused(replay(tmp_path / "empty"), "no log files")
+    refused(replay(tmp_path / "empty"), f"no log files (*.mcap) in {tmp_path / 'empty'}")
     refused(replay(tmp_path / "nowhere"), "nowhere")
 
 
@@ -153,6 +153,14 @@ def test_a_file_that_lost_its_end_in_the_middle_is_a_gap(logs: Path) -> None:
     refused(replay(logs), "gap: ")
     (sorted(logs.glob("*.mcap"))[1]).unlink()
     assert replay(logs)[:2] == (0, replay(file)[1]), "as the last file it is what a kill left"
+
+
+def test_a_store_that_holds_the_whole_log_leaves_nothing_to_compare(logs: Path, tmp_path: Path) -> None:
+    with Run(logs, store=Store(tmp_path / "map.db")) as run:
+        drive(run)
+        run.snapshot()
+    told = f"{tmp_path / 'map.db'} holds all of this log already (sequence 3): nothing is left to compare"
+    refused(replay("--from", tmp_path / "map.db", logs), told)
 
 
 def test_a_log_without_a_checkpoint_proves_nothing(logs: Path) -> None:

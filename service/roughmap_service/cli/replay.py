@@ -49,7 +49,7 @@ def replay(
     from roughmap_service.replay import replay as run
     from roughmap_service.replay_log import check_empty
 
-    found = one_run(find_files(logs))
+    found = one_run(find_files(logs), logs)
     total = [file.path for file in found]
     if changes and from_store is not None:
         raise BadUse("--what-if needs the whole run: it can't begin from a store of other settings")
