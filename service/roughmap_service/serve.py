@@ -2,6 +2,7 @@
 
 import fcntl
 import logging
+import os
 import stat
 import threading
 import time
@@ -289,19 +290,22 @@ def _writer(config: Config, directory: Path, metadata: RunMetadata, last_ns: int
 @contextmanager
 def _locked(directory: Path, store: Store | None) -> Iterator[None]:
     """Hold the log directory and the store against a second service."""
-    make_directory(directory)
-    locks = [directory / ".lock"]
+    locks = {"log.directory": directory / ".lock"}
     if store is not None:
-        make_directory(store.path.parent)
-        locks.append(store.path.with_name(store.path.name + ".lock"))
+        if store.path.is_dir():
+            raise ServeError(f"store.path: {store.path} is a folder; name a file, such as {store.path / 'map.db'}")
+        locks["store.path"] = store.path.with_name(store.path.name + ".lock")
     with ExitStack() as stack:
-        for path in locks:
+        for setting, path in locks.items():
+            with _writing(setting, path.parent):
+                make_directory(path.parent)
             if path.parent.stat().st_mode & stat.S_IWOTH:
                 raise ServeError(
                     f"{path.parent}: everybody on this machine may write there, and forge the map; give log.directory "
                     "and store.path folders of their own, or chmod o-w"
                 )
-            handle = stack.enter_context(open_lock(path))
+            with _writing(setting, path):
+                handle = stack.enter_context(open_lock(path))
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -309,6 +313,18 @@ def _locked(directory: Path, store: Store | None) -> Iterator[None]:
                     f"{path}: held by another service; give this one its own log.directory and store.path"
                 ) from None
         yield
+
+
+@contextmanager
+def _writing(setting: str, path: Path) -> Iterator[None]:
+    """What is made in here is made in a place that can be: ServeError that names the setting where it can't. A disk
+    that is full or broken is no matter of settings: a later start may find it well."""
+    try:
+        yield
+    except (PermissionError, FileExistsError, FileNotFoundError, NotADirectoryError) as error:
+        mend = f"let the user {os.getuid()} write there, or set {setting} to another place"
+        cause = "a file is in its way" if isinstance(error, FileExistsError) else error.strerror
+        raise ServeError(f"{setting}: {path} can't be written: {cause}; {mend}") from None
 
 
 class _Control:

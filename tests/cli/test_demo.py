@@ -77,6 +77,13 @@ def test_a_folder_of_other_things_is_left_alone(tmp_path: Path, capsys: pytest.C
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
+def test_a_folder_that_cannot_be_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    assert run(["demo", "--out", str(tmp_path / "file" / "demo")]) == 2
+    told = f"--out: {tmp_path / 'file' / 'demo'} can't be written: Not a directory; name another folder with --out"
+    assert capsys.readouterr().err == f"roughmap: {told}\n"
+
+
 @pytest.mark.parametrize(
     ("exit_code", "replay_code", "line", "health", "known", "said"),
     [

@@ -126,8 +126,15 @@ def test_a_directory_that_cannot_be_written(tmp_path: Path, place: str) -> None:
     path = tmp_path / "file" / place
     settings = {"log": {"directory": str(path)}} if place == "log" else {"store": {"path": str(path / "map.db")}}
     code, said = refused(tmp_path, **settings)
-    assert code == 1
-    assert str(tmp_path / "file") in said
+    assert code == 2
+    assert (
+        f"{'log.directory' if place == 'log' else 'store.path'}: {path} can't be written: a file is in its way" in said
+    )
+
+
+def test_a_store_that_is_a_folder(tmp_path: Path) -> None:
+    code, said = refused(tmp_path, store={"path": str(tmp_path)})
+    assert (code, f"store.path: {tmp_path} is a folder; name a file" in said) == (2, True)
 
 
 @pytest.mark.parametrize(

@@ -91,12 +91,16 @@ class _Progress:
 
 def _clear(out: Path) -> None:
     """Make the folder; empty what an earlier demo left there and nothing else."""
-    if out.is_dir() and any(out.iterdir()) and not (out / CONFIG_NAME).is_file():
-        raise BadUse(f"{out} holds other files: choose another folder with --out")
-    out.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(out / "log", ignore_errors=True)
-    for name in MADE:
-        (out / name).unlink(missing_ok=True)
+    try:
+        if out.is_dir() and any(out.iterdir()) and not (out / CONFIG_NAME).is_file():
+            raise BadUse(f"{out} holds other files: choose another folder with --out")
+        out.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(out / "log", ignore_errors=True)
+        for name in MADE:
+            (out / name).unlink(missing_ok=True)
+        (out / CONFIG_NAME).touch()
+    except OSError as error:
+        raise BadUse(f"--out: {out} can't be written: {error.strerror}; name another folder with --out") from None
 
 
 def _table(outcome: "Outcome") -> None:
