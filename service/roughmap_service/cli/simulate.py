@@ -94,7 +94,6 @@ def simulate(
         names = [rover.name for rover in fleet]
     config = client_config(load(config_path, settings), connect, zenoh_file)
     where = ", ".join(map(without_secrets, endpoints_of(config, "connect")))
-    begun = time.monotonic()
     with (
         open_client(config, wait) as session,
         RoverPublisher(session, names, patient=recording is not None or rate != 1) as publisher,
@@ -103,6 +102,7 @@ def simulate(
             publisher.wait_for_listeners(wait)
         except NobodyListens as error:
             raise Failure(f"{error}; is `roughmap serve` up at {where}?") from error
+        begun = time.monotonic()
         published = _play(publisher, messages, rate, None if recording else duration)
     _report(published, time.monotonic() - begun, as_json)
 
