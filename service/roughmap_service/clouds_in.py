@@ -96,7 +96,8 @@ def _load(file: Path) -> Arrays:
                 raise CloudFileFault(f"{file}: expected an NPZ archive, found a single array")
             assert archive.zip is not None  # noqa: S101 - it is open
             _check_size(file, archive.zip)
-            arrays: Arrays = {name: archive[name] for name in archive.files}
+            # What in an archive is no array comes as bytes, and is passed over.
+            arrays: Arrays = {name: array for name in archive.files if isinstance(array := archive[name], np.ndarray)}
     except (CloudFileFault, OSError):
         raise
     except Exception as error:  # zipfile and numpy raise nearly any kind over bytes that are no archive
