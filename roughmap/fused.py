@@ -56,7 +56,10 @@ def collect_odd(
                         p = shares[(j - j0) * ni + (i - i0)]
                         touched |= _takes_part(p, least)
                 if touched:
-                    row, number = row_of(table, keys, work, tile_key(tx, ty), number)
+                    key = tile_key(tx, ty)
+                    row = find(table, keys, key)
+                    if row < 0:  # only then: a call counts references to arrays, which takes as long as all else
+                        row, number = row_of(table, keys, work, key, number)
                     work[row] += 1
     return stop, number
 
