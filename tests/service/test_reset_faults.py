@@ -98,6 +98,7 @@ def test_a_reset_that_meets_a_full_disk_holds_up_no_refusal_and_comes_when_there
         assert (service.run.state.map.sequence, service.run.state.epoch, done) == (*before, [])
         service.disk.full = False
         asking.join(WAIT_S)
+        sequencer.call(lambda: None, WAIT_S)  # what was asked before this one is done
         assert done == [(before[0] + 1, before[1] + 1), (0, 0)]
         assert service.run.state.map.digest() == RoughMap().digest()
         assert not service.ingest(1.0).duplicate
