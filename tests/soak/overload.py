@@ -188,7 +188,8 @@ def overload(folder: Path, seconds: float, say: Callable[[str], None], *, rate: 
         found.expect(most < LIMIT + SLACK, f"memory rose by {most / MIB:.0f} MiB")
         found.expect(rose < FLAT or seconds < 60, f"memory is not flat: {rose / MIB:.0f} MiB more at the end")
         found.expect("overloaded" in states, "it never said that it was overloaded")
-        found.expect(set(after) <= {"overloaded"}, f"while it lasted it also said {sorted(set(after))}")
+        # In a few seconds a machine may get the better of it for a moment.
+        found.expect(set(after) <= {"overloaded"} or seconds < 60, f"while it lasted it also said {sorted(set(after))}")
         found.expect(back is not None, "it did not come back to normal")
         found.expect(not asking.failed, f"answers failed: {asking.failed[:3]}")
         found.expect(service.stop() == 0, f"it did not end well: {service.err[-3:]}")

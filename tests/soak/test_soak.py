@@ -11,7 +11,7 @@ from soak_picture import draw
 
 SECONDS = 8.0
 
-RATE = 200.0
+RATE = 500.0
 """Scans a second of which twice as many are sent: more than machines integrate of these, so no search is needed."""
 
 
