@@ -107,12 +107,6 @@ class Inbox:
     ended: deque[Decision] = field(default_factory=deque)
     size: int = 0
 
-    @property
-    def waiting(self) -> int:
-        """Clouds without a decision."""
-        queues = list(self.queues.values())  # a copy: the status asks from its own thread
-        return sum(len(queue) for queue in queues)
-
     def has_room(self, size: int) -> bool:
         """Whether a cloud of ``size`` bytes fits without ending another; one alone does, which may hold more than its
         message has."""

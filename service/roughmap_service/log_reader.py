@@ -1,6 +1,7 @@
 """Reading the log back, in file order, with memory for one chunk at a time."""
 
 import contextlib
+import logging
 import os
 import struct
 import zlib
@@ -21,6 +22,8 @@ from roughmap_schemas.run_metadata import RECORD_NAME
 
 from .log_chunks import BoundedFile, records_in
 from .log_file import INPUTS, Kind
+
+log = logging.getLogger(__name__)
 
 MAGIC = bytes([137, 77, 67, 65, 80, 48, 13, 10])
 """With which an MCAP file begins, and ends if it was closed."""
@@ -273,17 +276,21 @@ def read_run(files: Sequence[RunFile]) -> Iterator[LogItem]:
     """All items of a run's files in order.
 
     A tear is the end of the last file, and of one that was left behind because the disk failed: that nothing is
-    missing is seen from the numbers with which the next file begins. LogError (gap) where something is.
+    missing is seen from the numbers with which the next file begins. So is it of a damage behind a file's last input
+    and event. LogError (gap) where something is missing, DamagedLog where a damage is to blame.
     """
     number = position = 0
+    fault: DamagedLog | None = None
     for at, file in enumerate(files):
         first = file.metadata
         if at and (first.first_input, first.first_record) != (number + 1, position + 1):
-            raise LogError(
+            raise fault or LogError(
                 f"gap: {file.path.name} begins with input {first.first_input}, record {first.first_record}; "
                 f"expected {number + 1}, {position + 1}"
             )
-        number, position = first.first_input - 1, first.first_record - 1
+        if fault is not None:
+            log.warning("%s; nothing of the run is missing there", fault)
+        fault, number, position = None, first.first_input - 1, first.first_record - 1
         try:
             for item in read_file(file.path):
                 if isinstance(item, InputRecord):
@@ -293,3 +300,7 @@ def read_run(files: Sequence[RunFile]) -> Iterator[LogItem]:
                 yield item
         except TornLog:
             continue
+        except DamagedLog as damage:
+            fault = damage
+    if fault is not None:
+        raise fault

@@ -8,7 +8,7 @@ from pathlib import Path
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
-from .disk import made_anew, sync_directory
+from .disk import made_anew, sync, sync_directory
 from .log_file import CHUNK_BYTES, PROFILE
 from .log_reader import DamagedLog, LogError, is_closed, raw_records, read_metadata
 
@@ -20,10 +20,11 @@ def repair(path: Path, *, damaged: bool = False) -> Path | None:
 
     Returns that file's path, or None if there is no rest: the file was closed, or the kill came between two records. A
     file whose beginning was never written holds nothing of the run and becomes the ``.torn`` as a whole. The new file
-    is on the disk before it takes the old one's name, so that a kill in here leaves the one or the other. With
-    ``damaged`` a closed file is rewritten too.
+    is on the disk before it takes the old one's name, so that a kill in here leaves the one or the other; a closed file
+    is on the disk behind this, too. With ``damaged`` a closed file is rewritten as well.
     """
     if is_closed(path) and not damaged:
+        sync(path)  # the kill may have come between the footer and its fsync; what follows must not outlive it
         return None
     torn = path.with_name(path.name + ".torn")
     whole = path.with_name(path.name + ".part")

@@ -187,7 +187,7 @@ def _run(
                 durable_sequence=writer.durable_sequence,
                 input=state.input,
                 newest_stamp_ns=sequencer.newest_stamp_ns,
-                waiting=sequencer.inbox.waiting,
+                waiting=len(state.clouds),
                 overloaded=counters.overloaded,
                 memory_ok=memory.ok,
                 log=LogState(file=str(writer.path), bytes=writer.size, ok=writer.ok),

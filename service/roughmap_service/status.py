@@ -73,10 +73,11 @@ class Status:
 
     def __call__(self) -> MapStatus:
         """The status now; waits for the rest of one scan's integration at most."""
+        progress = self._progress()  # first, so that where no cloud waits the map has all of them
         with self._view.reading() as rough_map:
             epoch, sequence = self._view.epoch, rough_map.sequence
             extent, tiles, resident = rough_map.extent(), rough_map.tile_count, rough_map.resident_tiles
-        counts, progress = self._counters.snapshot(), self._progress()
+        counts = self._counters.snapshot()
         lag, (clouds, points, poses) = self._counters.lag(), self._counters.rates()
         health = "ok" if progress.log.ok and progress.memory_ok else "degraded"
         if progress.overloaded and health == "ok":

@@ -64,7 +64,7 @@ def test_decided_once_the_poses_around_it_are_in() -> None:
     assert isinstance(decision, Decision)
     assert (decision.cloud.input, decision.outcome) == (number, INTEGRATED)
     assert [(p.stamp_ns - T0) / SECOND for p in decision.poses] == [0.1, 0.15, 0.25]
-    assert (desk.inbox.waiting, desk.inbox.size) == (0, 0)
+    assert (desk.inbox.queues, desk.inbox.size) == ({}, 0)
 
 
 def test_an_exact_stamp_needs_no_second_pose() -> None:
@@ -214,11 +214,11 @@ def test_a_cloud_that_holds_more_than_the_limit_waits_alone() -> None:
     desk = Desk()
     assert desk.inbox.has_room(5000)
     desk.cloud(1.0, size=5000)
-    assert desk.inbox.waiting == 1
+    assert len(desk.inbox.queues["a"]) == 1
     assert not desk.inbox.has_room(1)
     assert desk.tick() is None
     desk.cloud(1.0, size=400)
-    assert desk.inbox.waiting == 1
+    assert len(desk.inbox.queues["a"]) == 1
     assert desk.tick() == (1, "overload")
 
 

@@ -75,7 +75,7 @@ def test_one_decision_a_cloud_in_order(row: list[tuple]) -> None:
         decisions.append(decision)
 
     assert sorted(d.cloud.input for d in decisions) == sorted(clouds)
-    assert (inbox.size, inbox.waiting, inbox.deadline(), inbox.oldest_input()) == (0, 0, None, None)
+    assert (inbox.size, inbox.queues, inbox.deadline(), inbox.oldest_input()) == (0, {}, None, None)
     for robot in ROBOTS:
         in_turn = [d.cloud.input for d in decisions if d.cloud.robot == robot and d.outcome not in OUT_OF_TURN]
         assert in_turn == sorted(in_turn)

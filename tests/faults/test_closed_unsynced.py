@@ -1,0 +1,68 @@
+"""Killed as a file's footer was written and not yet on the disk, started again, and then the power is cut."""
+
+import os
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import paths  # noqa: F401 - before what it makes importable
+from cut_states import Disk, read_journal
+from service_tools import WAIT_S, Run, config, inputs_of, read_back
+from shim import Shim
+
+from roughmap_service.disk import make_directory
+from roughmap_service.recovery import recover
+
+DIES = 9
+CUTS = 60
+"""So many states of what was not synced: about one in eight has the footer's end and not its beginning."""
+
+
+def run_until_the_footer(directory: Path) -> None:
+    """A run whose process dies between the footer's write and its fsync."""
+    make_directory(directory)
+    with Run(directory) as run:
+        for k in range(20):  # so that the summary is written in several pieces
+            run.scan(float(k), 0.3 * k, robot=f"robot{k}")
+        assert run.writer.wait_synced(WAIT_S)
+        real, calls = os.fsync, iter(range(10))
+
+        def fsync(handle: int) -> None:
+            if next(calls):
+                os._exit(DIES)
+            real(handle)
+
+        os.fsync = fsync  # first the records' sync, then the footer's
+
+
+def go_on(directory: Path) -> None:
+    """A start after that, which logs more and is killed."""
+    run = Run(directory, recovered=recover(config(), directory, None))
+    run.scan(30.0)
+    assert run.writer.wait_synced(WAIT_S)
+    os._exit(DIES)
+
+
+def test_what_a_start_goes_on_from_is_on_the_disk(tmp_path: Path) -> None:
+    shim = Shim(tmp_path / "shim", journal=True)
+    log = shim.root / "log"
+    for step in (run_until_the_footer, go_on):
+        code = f"import {Path(__file__).stem} as t; from pathlib import Path; t.{step.__name__}(Path({str(log)!r}))"
+        found = os.pathsep.join(sys.path)
+        child = subprocess.run(
+            [sys.executable, "-c", code], env={**os.environ, **shim.environ, "PYTHONPATH": found}, check=False,
+            capture_output=True, text=True, timeout=60.0,
+        )  # fmt: skip
+        assert child.returncode == DIES, child.stderr
+    whole = [one.payload for one in inputs_of(read_back(log))]
+    assert len(whole) == 63
+    disk = Disk(shim.root)
+    for call in read_journal(shim.journal):
+        disk.take(call)
+    rng = random.Random(1)
+    for cut in range(CUTS):
+        left = tmp_path / f"left{cut}"
+        disk.top.write(left, rng)
+        recover(config(), left / "log", None)
+        assert [one.payload for one in inputs_of(read_back(left / "log"))] == whole
