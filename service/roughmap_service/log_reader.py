@@ -1,7 +1,6 @@
 """Reading the log back, in file order, with memory for one chunk at a time."""
 
 import contextlib
-import logging
 import os
 import struct
 import zlib
@@ -23,10 +22,11 @@ from roughmap_schemas.run_metadata import RECORD_NAME
 from .log_chunks import BoundedFile, records_in
 from .log_file import INPUTS, Kind
 
-log = logging.getLogger(__name__)
-
 MAGIC = bytes([137, 77, 67, 65, 80, 48, 13, 10])
 """With which an MCAP file begins, and ends if it was closed."""
+
+SUMMARY = struct.Struct("<QQI")
+"""What stands before that: where the summary begins, its part of offsets, and the checksum of all before it."""
 
 NO_MCAP = "is no MCAP file"
 
@@ -97,6 +97,19 @@ def is_closed(path: Path) -> bool:
             return False
         stream.seek(-len(MAGIC), os.SEEK_END)
         return stream.read() == MAGIC
+
+
+def has_summary(path: Path) -> bool:
+    """Whether a closed file's summary, by which other readers find their way in it, is what was written (its checksum
+    says so)."""
+    with path.open("rb") as stream:
+        end = stream.seek(-(SUMMARY.size + len(MAGIC)), os.SEEK_END)
+        start, _, checksum = SUMMARY.unpack(stream.read(SUMMARY.size))
+        left, found = end + SUMMARY.size - 4 - stream.seek(min(start, end)), 0
+        while left:
+            data = stream.read(min(left, 1 << 20))
+            found, left = zlib.crc32(data, found), left - len(data)
+    return bool(found == checksum)
 
 
 def raw_records(path: Path) -> Iterator[tuple[McapRecord, int]]:
@@ -276,21 +289,17 @@ def read_run(files: Sequence[RunFile]) -> Iterator[LogItem]:
     """All items of a run's files in order.
 
     A tear is the end of the last file, and of one that was left behind because the disk failed: that nothing is
-    missing is seen from the numbers with which the next file begins. So is it of a damage behind a file's last input
-    and event. LogError (gap) where something is missing, DamagedLog where a damage is to blame.
+    missing is seen from the numbers with which the next file begins. LogError (gap) where something is.
     """
     number = position = 0
-    fault: DamagedLog | None = None
     for at, file in enumerate(files):
         first = file.metadata
         if at and (first.first_input, first.first_record) != (number + 1, position + 1):
-            raise fault or LogError(
+            raise LogError(
                 f"gap: {file.path.name} begins with input {first.first_input}, record {first.first_record}; "
                 f"expected {number + 1}, {position + 1}"
             )
-        if fault is not None:
-            log.warning("%s; nothing of the run is missing there", fault)
-        fault, number, position = None, first.first_input - 1, first.first_record - 1
+        number, position = first.first_input - 1, first.first_record - 1
         try:
             for item in read_file(file.path):
                 if isinstance(item, InputRecord):
@@ -300,7 +309,3 @@ def read_run(files: Sequence[RunFile]) -> Iterator[LogItem]:
                 yield item
         except TornLog:
             continue
-        except DamagedLog as damage:
-            fault = damage
-    if fault is not None:
-        raise fault

@@ -1,5 +1,6 @@
 """Making a file that a kill left without its footer a whole one, before the run goes on."""
 
+import contextlib
 import logging
 import os
 import shutil
@@ -10,7 +11,16 @@ from mcap.writer import CompressionType, Writer
 
 from .disk import made_anew, sync, sync_directory
 from .log_file import CHUNK_BYTES, PROFILE
-from .log_reader import DamagedLog, LogError, is_closed, raw_records, read_metadata
+from .log_reader import (
+    DamagedLog,
+    FileStart,
+    InputRecord,
+    LogError,
+    is_closed,
+    raw_records,
+    read_file,
+    read_metadata,
+)
 
 log = logging.getLogger(__name__)
 
@@ -58,25 +68,46 @@ def end_at_damage(damage: DamagedLog) -> None:
     """Make a run end before a damage in one of its files: nothing behind it can be placed as it was.
 
     The damaged file keeps what is whole before the damage; the rest of it, and the files behind it, stay beside it
-    under other names (``.torn``, ``.behind``). DamagedLog again if nothing of the run would be left.
+    under other names (``.torn``, ``.behind``). Where the next file begins with what follows, nothing of the run is
+    missing, and it goes on there. DamagedLog again if nothing of the run would be left.
     """
     path = damage.path
     files = sorted(path.parent.glob(path.name.rpartition("-")[0] + "-*.mcap"))  # names sort as files were written
-    readable = True
+    behind = files[files.index(path) + 1 :]
     try:
         read_metadata(path)
     except LogError:
         if path == files[0]:
             raise
-        readable = False
-    for behind in files[: files.index(path) : -1]:  # the last first: a kill in here leaves no gap
-        behind.rename(behind.with_name(behind.name + ".behind"))
-        log.error("%s lies behind a damage, and is %s.behind now", behind.name, behind.name)
-    if readable:
-        repair(path, damaged=True)
-    else:
+        _put_behind(behind)
         path.rename(path.with_name(path.name + ".torn"))
-    sync_directory(path.parent)
+        sync_directory(path.parent)
+        return
+    if not (behind and _lacks_nothing(path, behind[0])):
+        _put_behind(behind)
+    repair(path, damaged=True)
+
+
+def _put_behind(files: list[Path]) -> None:
+    for file in reversed(files):  # a kill in here leaves no gap
+        file.rename(file.with_name(file.name + ".behind"))
+        log.error("%s lies behind a damage, and is %s.behind now", file.name, file.name)
+
+
+def _lacks_nothing(damaged: Path, behind: Path) -> bool:
+    """Whether a damaged file's last whole record of the run is the one before those of the file behind it."""
+    try:
+        first, after = read_metadata(damaged), read_metadata(behind)
+    except LogError:
+        return False
+    number, position = first.first_input - 1, first.first_record - 1
+    with contextlib.suppress(DamagedLog):
+        for item in read_file(damaged):
+            if not isinstance(item, FileStart):
+                position = item.record
+            if isinstance(item, InputRecord):
+                number = item.number
+    return (after.first_input, after.first_record) == (number + 1, position + 1)
 
 
 def _copy(path: Path, writer: Writer) -> int:

@@ -24,6 +24,8 @@ from .log_reader import (
     LogItem,
     RunFile,
     find_files,
+    has_summary,
+    is_closed,
     last_log_time,
     one_run,
     read_metadata,
@@ -209,8 +211,10 @@ def newest_run(directory: Path, cut: Cut | None) -> list[RunFile]:
     ours = [path for path in sorted(directory.glob("*.mcap")) if FILE_NAME.fullmatch(path.name)]
     files: list[RunFile] = []
     unreadable: list[DamagedLog] = []
+    last = {path.name.rpartition("-")[0]: path for path in ours}.values()  # of each run
     for path in ours:  # a foreign file is not ours to change
-        repair(path)
+        # The footer may have been under way when the power went.
+        repair(path, damaged=path in last and is_closed(path) and not has_summary(path))
         if path.exists():  # one that holds nothing was renamed by the repair
             try:
                 files += find_files([path])

@@ -8,8 +8,10 @@ from pathlib import Path
 
 OPEN, WRITE, SYNC, CUT, RENAME, UNLINK, MKDIR = range(1, 8)
 HEAD = struct.Struct("<7q")
+PAGE = 4096
+"""A file's pages go to the disk one by one, in any order."""
 SECTOR = 512
-"""A write that was under way is torn between sectors."""
+"""One that was under way is torn between sectors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,7 @@ class Inode:
     """(offset, data), or (length, None) for a cut."""
 
     def left(self, rng: random.Random) -> bytes:
-        """What a cut now may leave of it: of what was not synced nothing, all, the first part, or any part, torn."""
+        """What a cut now may leave of it: of what was not synced nothing, all, the first part, or any pages, torn."""
         kind = rng.choice(("none", "all", "first", "any"))
         pending = self.pending
         if kind == "none":
@@ -59,12 +61,19 @@ class Inode:
             pending = pending[: rng.randint(0, len(pending))]
         elif kind == "any":
             pending = [
-                (at, data if data is None or rng.random() < 0.8 else data[: len(data) // SECTOR // 2 * SECTOR])
-                for at, data in pending
+                (at, data if data is None or rng.random() < 0.9 else data[: len(data) // SECTOR // 2 * SECTOR])
+                for at, data in _pages(pending)
                 if rng.random() < 0.7
             ]
         content = bytearray(self.durable)
         for at, data in pending:
+            _do(content, at, data)
+        return bytes(content)
+
+    def seen(self) -> bytes:
+        """What a process reads of it."""
+        content = bytearray(self.durable)
+        for at, data in self.pending:
             _do(content, at, data)
         return bytes(content)
 
@@ -73,6 +82,18 @@ class Inode:
         for at, data in self.pending:
             _do(self.durable, at, data)
         self.pending = []
+
+
+def _pages(pending: list[tuple[int, bytes | None]]) -> Iterator[tuple[int, bytes | None]]:
+    for at, data in pending:
+        if data is None:
+            yield at, None
+            continue
+        begin = 0
+        while begin < len(data):
+            end = min(len(data), begin + PAGE - (at + begin) % PAGE)
+            yield at + begin, data[begin:end]
+            begin = end
 
 
 def _do(content: bytearray, at: int, data: bytes | None) -> None:
@@ -124,6 +145,15 @@ class Folder:
                 value.write(where / name, rng)
             else:
                 (where / name).write_bytes(value.left(rng))
+
+    def copy(self, where: Path) -> None:
+        """Make what a process sees, below ``where``: what is left after a kill."""
+        where.mkdir(parents=True, exist_ok=True)
+        for name, value in self.names.items():
+            if isinstance(value, Folder):
+                value.copy(where / name)
+            else:
+                (where / name).write_bytes(value.seen())
 
 
 class Disk:

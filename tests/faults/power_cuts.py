@@ -16,8 +16,20 @@ from roughmap_schemas import Config
 from roughmap_service.recovery import recover
 from roughmap_service.store import Store
 
+CUTS_OF_ONE = 20
+"""Cuts of one run: what its kill left decides what they can find."""
+
 
 def power_cuts(trial: Trial, folder: Path, rng: random.Random, number: int, *, messages: int = 600) -> None:
+    """Recover from ``number`` power cuts, of as many runs as that takes."""
+    for run, done in enumerate(range(0, number, CUTS_OF_ONE)):
+        _cuts_of_a_run(trial, folder / f"run{run}", rng, min(CUTS_OF_ONE, number - done), messages)
+        if trial.found:
+            return
+        shutil.rmtree(folder / f"run{run}")
+
+
+def _cuts_of_a_run(trial: Trial, folder: Path, rng: random.Random, number: int, messages: int) -> None:
     """Run a service under load (with a kill and a restart in the midst), and recover from ``number`` cuts of it."""
     shim = Shim(folder, journal=True)
     fleet = Fleet(rng.randrange(1 << 30), clock=lambda: shim.journalled)
@@ -50,12 +62,12 @@ def power_cuts(trial: Trial, folder: Path, rng: random.Random, number: int, *, m
         left = folder / "left"
         disk.top.write(left, rng)
         epoch = max((e for when, e in epochs if when <= now), default=0)
-        _recovers(trial, config, left, fleet, whole, now, epoch, f"power cut at call {cut}")
+        recovers(trial, config, left, fleet, whole, now, epoch, f"power cut at call {cut}")
         trial.once()
         shutil.rmtree(left)
 
 
-def _recovers(
+def recovers(
     trial: Trial, config: Config, left: Path, fleet: Fleet, whole: list[bytes], now: int, epoch: int, where: str
 ) -> None:
     """Recover from what a cut left; hold it against the whole run, the promises, and the log alone."""

@@ -4,10 +4,14 @@ import os
 import random
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import paths  # noqa: F401 - before what it makes importable
-from cut_states import Disk, read_journal
+import pytest
+from cut_states import Call, Disk, read_journal
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
 from service_tools import WAIT_S, Run, config, inputs_of, read_back
 from shim import Shim
 
@@ -44,21 +48,29 @@ def go_on(directory: Path) -> None:
     os._exit(DIES)
 
 
-def test_what_a_start_goes_on_from_is_on_the_disk(tmp_path: Path) -> None:
-    shim = Shim(tmp_path / "shim", journal=True)
-    log = shim.root / "log"
-    for step in (run_until_the_footer, go_on):
-        code = f"import {Path(__file__).stem} as t; from pathlib import Path; t.{step.__name__}(Path({str(log)!r}))"
-        found = os.pathsep.join(sys.path)
+def journal_of(shim: Shim, *steps: Callable[[Path], None]) -> list[Call]:
+    """What processes that run the steps one after the other do to the disk."""
+    for step in steps:
+        code = (
+            f"import {Path(__file__).stem} as t, pathlib; t.{step.__name__}(pathlib.Path({str(shim.root / 'log')!r}))"
+        )
         child = subprocess.run(
-            [sys.executable, "-c", code], env={**os.environ, **shim.environ, "PYTHONPATH": found}, check=False,
-            capture_output=True, text=True, timeout=60.0,
+            [sys.executable, "-c", code], env={**os.environ, **shim.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+            check=False, capture_output=True, text=True, timeout=60.0,
         )  # fmt: skip
         assert child.returncode == DIES, child.stderr
-    whole = [one.payload for one in inputs_of(read_back(log))]
-    assert len(whole) == 63
+    return list(read_journal(shim.journal))
+
+
+@pytest.mark.parametrize("steps", [[run_until_the_footer], [run_until_the_footer, go_on]], ids=["cut", "start, cut"])
+def test_what_is_gone_on_from_is_on_the_disk(tmp_path: Path, steps: list[Callable[[Path], None]]) -> None:
+    """And whatever of a footer the cut left, every reader finds its way in the file after the start."""
+    shim = Shim(tmp_path / "shim", journal=True)
+    calls = journal_of(shim, *steps)
+    whole = [one.payload for one in inputs_of(read_back(shim.root / "log"))]
+    assert len(whole) == 57 + 3 * len(steps)
     disk = Disk(shim.root)
-    for call in read_journal(shim.journal):
+    for call in calls:
         disk.take(call)
     rng = random.Random(1)
     for cut in range(CUTS):
@@ -66,3 +78,8 @@ def test_what_a_start_goes_on_from_is_on_the_disk(tmp_path: Path) -> None:
         disk.top.write(left, rng)
         recover(config(), left / "log", None)
         assert [one.payload for one in inputs_of(read_back(left / "log"))] == whole
+        for path in (left / "log").glob("*.mcap"):
+            with path.open("rb") as stream:
+                assert sum(1 for _ in StreamReader(stream, validate_crcs=True).records) > 1
+                stream.seek(0)
+                assert make_reader(stream).get_summary() is not None

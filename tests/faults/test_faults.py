@@ -15,6 +15,7 @@ SHORT = {
     "start": 1,
     "shutdown": 1,
     "power": 8,
+    "killcut": 2,
     "cuts": 150,
     "logflips": 40,
     "storeflips": 40,

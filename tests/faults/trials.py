@@ -8,6 +8,7 @@ from bad_links import lost_messages, torn_links
 from bytes_lost import log_cuts, log_flips, store_flips
 from clock_jumps import clock_jumps
 from full_disk import full_disks, real_disk
+from kill_and_cut import kills_and_cuts
 from kills import kills, kills_in_shutdown, kills_in_start
 from odd_stores import odd_stores
 from power_cuts import power_cuts
@@ -28,6 +29,7 @@ TRIALS: dict[str, tuple[str, Try, int]] = {
     "start": ("SIGKILL in start-up", kills_in_start, 10),
     "shutdown": ("SIGKILL in shutdown", kills_in_shutdown, 10),
     "power": ("power cut", power_cuts, 200),
+    "killcut": ("SIGKILL, a start, then power cuts", kills_and_cuts, 30),
     "cuts": ("log cut at a byte of its last 64 KiB", every_byte, EVERY),
     "logflips": ("one bit flipped in the log", log_flips, 500),
     "storeflips": ("one bit flipped in the store", store_flips, 500),

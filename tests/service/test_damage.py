@@ -162,3 +162,22 @@ def test_an_index_that_became_a_message_is_damage(logs: Path) -> None:
                 list(read_file(path))
         at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
     assert found
+
+
+@pytest.mark.parametrize("damaged", [0, 2])
+def test_a_damage_behind_all_that_a_file_holds_of_the_run(logs: Path, damaged: int) -> None:
+    """As where a power cut kept a footer's beginning from the disk: the next file says that nothing is missing."""
+    digests = three_files(logs)
+    whole = read_back(logs)
+    path = sorted(logs.iterdir())[damaged]
+    data = bytearray(path.read_bytes())
+    end = data.rindex(bytes([Opcode.DATA_END]) + (4).to_bytes(8, "little"))
+    data[end : end + 40] = bytes(40)
+    path.write_bytes(data)
+    with pytest.raises(DamagedLog):
+        read_back(logs)
+    back = recover(config(), logs, None)
+    assert back.state.map.digest() == digests[-1]
+    assert read_back(logs) == whole
+    assert {file.name for file in logs.iterdir() if file.suffix != ".mcap"} == {f"{path.name}.torn"}
+    goes_on(logs, back)

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from service_tools import Run, read_back
 
 from roughmap_service.log_reader import (
-    DamagedLog,
     LogError,
     LogItem,
     RunFile,
@@ -79,27 +78,3 @@ def test_a_tear_in_the_midst_of_a_run_is_a_gap_only_if_something_is_missing(tmp_
     first.write_bytes(data[: end - 300])  # within the last chunk
     with pytest.raises(LogError, match=r"gap: .* begins with input 4, record 6; expected 1, 1"):
         list(read_run(files))
-
-
-def test_a_damage_behind_all_that_a_file_holds_of_the_run(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The next file's beginning says that nothing is missing; in the last file nothing does."""
-    with Run(tmp_path) as run:
-        run.scan(0.0)
-        run.rotate()
-        run.scan(1.0)
-    whole = read_back(tmp_path)
-    first, second = sorted(tmp_path.iterdir())
-    files = [RunFile(path, read_metadata(path)) for path in (first, second)]
-    for path in (first, second):
-        data = bytearray(path.read_bytes())
-        end = data.rindex(b"\x0f" + (4).to_bytes(8, "little"))
-        data[end : end + 40] = bytes(40)  # as where a power cut kept the footer's beginning from the disk
-        path.write_bytes(data)
-        if path == first:
-            assert list(read_run(files)) == whole
-            assert f"{first}: damaged" in caplog.text
-            assert "nothing of the run is missing there" in caplog.text
-    items = read_run(files)
-    assert [next(items) for _ in whole] == whole
-    with pytest.raises(DamagedLog, match=second.name):
-        next(items)
