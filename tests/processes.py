@@ -110,6 +110,7 @@ class Service:
         self.out: list[str] = []
         self.err: list[str] = []
         self._told = threading.Event()
+        self._said = threading.Condition()
         self._readers = [
             threading.Thread(target=self._read, args=(self.process.stdout, self.out), daemon=True),
             threading.Thread(target=self._read, args=(self.process.stderr, self.err), daemon=True),
@@ -119,7 +120,9 @@ class Service:
 
     def _read(self, stream: Any, lines: list[str]) -> None:
         for line in stream:
-            lines.append(line.rstrip("\n"))
+            with self._said:
+                lines.append(line.rstrip("\n"))
+                self._said.notify_all()
             if lines is self.out:
                 self._told.set()
         if lines is self.out:
@@ -133,6 +136,13 @@ class Service:
             raise AssertionError("the service ended before it was ready: " + "\n".join(self.err))
         line: dict[str, Any] = json.loads(self.out[0])
         return line
+
+    def told(self, text: str, seconds: float = WAIT_S) -> str:
+        """The first line on stderr that holds ``text``, once it came."""
+        with self._said:
+            found = self._said.wait_for(lambda: [line for line in self.err if text in line], seconds)
+            assert found, f"waited {seconds:g} s in vain for a line with {text!r}"
+            return found[0]
 
     def finished(self, seconds: float = STOP_S) -> int:
         """Wait for the end; the exit code, with all output read."""

@@ -4,6 +4,9 @@ import os
 from pathlib import Path
 from typing import IO
 
+HANG_SECONDS = 10.0
+"""A disk that has not done what it was asked for so long hangs: it may come back, and nobody should wait for that."""
+
 
 def make_directory(directory: Path) -> None:
     """Make a directory, and those above it that are missing, each durable in the one above."""

@@ -10,7 +10,7 @@ from starlette.routing import Route
 from roughmap_schemas.messages import MapStatus
 
 from .http_access import AUTHORISED
-from .readiness import Readiness, Sources
+from .readiness import Readiness, Sources, is_ready
 
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
@@ -36,8 +36,9 @@ def application(sources: Sources) -> Starlette:
 
     async def readyz(request: Request) -> Response:
         problems = sources.readiness.problems()
+        ready = is_ready(problems)
         shown = problems if request.scope[AUTHORISED] else dict.fromkeys(problems, "")
-        return JSONResponse({"ready": not problems, "problems": shown}, 503 if problems else 200)
+        return JSONResponse({"ready": ready, "problems": shown}, 200 if ready else 503)
 
     def metrics(_: Request) -> Response:
         if sources.metrics is None:

@@ -13,6 +13,7 @@ from typing import Self
 
 from roughmap_schemas import RunMetadata
 
+from .disk import HANG_SECONDS
 from .log_file import LogFile, LogRecord, Mark, OpenFile, file_name, open_new
 from .logs import note
 
@@ -95,10 +96,21 @@ class LogWriter:
         self._file = self._open(metadata, last_ns)
         self._length = self._file.size
         self._last_flush = self._last_sync = time.monotonic()
-        self.ok = True
-        self.error = ""
+        self._asked: float | None = None  # since when the disk is busy with what it was last asked
+        self._failed = ""  # what went wrong, until the log is written again
+        self._hangs = ""
         self._thread = threading.Thread(target=self._run, name="log", daemon=True)
         self._thread.start()
+
+    @property
+    def ok(self) -> bool:
+        """Whether the log can be written, as far as is known."""
+        return not self.error
+
+    @property
+    def error(self) -> str:
+        """Why it can't be; "" if it can."""
+        return self._failed or self._hangs
 
     @property
     def path(self) -> Path:
@@ -160,6 +172,16 @@ class LogWriter:
         due = self._length >= self._max_file_bytes or age >= self._max_file_age
         return due and self.ok and not self._rotating
 
+    def look(self) -> None:
+        """Look whether the disk still answers: if it hangs, the log counts as one that can't be written until it does.
+        Call it now and then, since the log's own thread is what hangs."""
+        with self._wake:
+            asked = self._asked
+            if asked is None or self.error or time.monotonic() < asked + HANG_SECONDS:
+                return
+            self._hangs = f"{self._file.path}: its disk has not answered for {HANG_SECONDS:g} s"
+        self._tell_failure()
+
     def close(self, timeout: float = 5.0) -> bool:
         """Write what is queued, the footer, fsync; False if the disk did not take it within ``timeout`` s."""
         with self._wake:
@@ -191,6 +213,7 @@ class LogWriter:
 
     def _take(self) -> bool:
         """Take up what is queued, after waiting for something, for the next flush to be due, or for the end."""
+        self._answered(None)
         with self._wake:
             due = max(self._last_flush + self._flush_interval - time.monotonic(), 0.0) if self._unsynced else None
             self._wake.wait_for(lambda: self._stop or bool(self._queue), due)
@@ -201,6 +224,7 @@ class LogWriter:
     def _write(self) -> None:
         """Write what is taken up. At any failure ``_unsynced`` and ``_todo`` hold all that is not on the disk."""
         while self._todo:
+            self._answered(time.monotonic())
             item = self._todo[0]
             if isinstance(item, Rotate):
                 self._sync()
@@ -219,11 +243,13 @@ class LogWriter:
         if wanted or now - self._last_sync >= SYNC_SECONDS or self._held > self._queue_limit // 2:
             self._sync()
         elif now - self._last_flush >= self._flush_interval:
+            self._answered(now)
             self._file.flush()
             self._last_flush = now
 
     def _sync(self) -> None:
         begun = time.monotonic()
+        self._answered(begun)
         self._length = self._file.sync()
         self._last_flush = self._last_sync = time.monotonic()
         self._on_sync(self._last_sync - begun)
@@ -237,6 +263,15 @@ class LogWriter:
                 except Exception:  # the asker's fault: neither the disk's, nor that of those who asked after it
                     log.exception("what was to follow on a sync of the log failed")
 
+    def _answered(self, asked: float | None) -> None:
+        """The disk has done what it was asked; it is asked the next thing at ``asked``, if anything."""
+        self._asked = asked
+        if self._hangs:
+            with self._wake:
+                self._hangs = ""
+                self._wake.notify_all()
+            note(log, logging.WARNING, "recovered", f"the log's disk answers again: {self.path}", always=True)
+
     def _release(self, items: list[Item]) -> None:
         with self._wake:
             self._held -= sum(_cost(item) for item in items)
@@ -245,10 +280,9 @@ class LogWriter:
 
     def _start_over(self, error: Exception) -> bool:
         """Leave the failed file as it was last synced, and write what came since to a new one; False at the end."""
-        self.ok = False
         self._fail(error)
-        text = f"the log can't be written ({self.error}); no cloud is decided until it can"
-        note(log, logging.ERROR, "degraded", text, always=True, cause=self.error)
+        self._hangs = ""
+        self._tell_failure()
         while True:
             with self._wake:
                 last = self._wake.wait_for(lambda: self._stop, RETRY_SECONDS)
@@ -273,7 +307,7 @@ class LogWriter:
                     return False
                 continue
             with self._wake:
-                self.ok, self.error = True, ""
+                self._failed = ""
                 self._wake.notify_all()
             text = f"the log can be written again: {self._file.path}"
             note(log, logging.WARNING, "recovered", text, always=True, file=str(self._file.path))
@@ -300,9 +334,13 @@ class LogWriter:
         with self._wake:
             return sum(isinstance(item, LogRecord) for item in (*self._unsynced, *self._todo, *self._queue))
 
+    def _tell_failure(self) -> None:
+        text = f"the log can't be written ({self.error}); no cloud is decided until it can"
+        note(log, logging.ERROR, "degraded", text, always=True, cause=self.error)
+
     def _fail(self, error: Exception) -> None:
         told = error.strerror if isinstance(error, OSError) else None
-        self.error = f"{getattr(error, 'filename', None) or self._file.path}: {told or error or type(error).__name__}"
+        self._failed = f"{getattr(error, 'filename', None) or self._file.path}: {told or error or type(error).__name__}"
 
     def _open_next(self, digest: str) -> None:
         """Go on in a new file; ``digest`` "" where the map's at this place is not known."""

@@ -19,7 +19,7 @@ from roughmap_schemas.messages import MapStatus
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
 
 from .counters import BOUNDS, Counters, Durations
-from .readiness import Problem
+from .readiness import Problem, is_ready
 
 R = TypeVar("R", bound=StrEnum)
 
@@ -164,9 +164,9 @@ class Metrics(Collector):
 
     def _state(self, status: MapStatus) -> Iterator[Metric]:
         problems = self._problems()
-        yield _gauge("ready", "1 if it takes in and answers, as /readyz says.", value=not problems)
+        yield _gauge("ready", "1 if it takes in and answers, as /readyz says.", value=is_ready(problems))
         present = {str(problem): problem in problems for problem in Problem}
-        yield _gauge("problem", "1 for each that stands in the way of that.", "problem", present)
+        yield _gauge("problem", "1 for each that it suffers from.", "problem", present)
         health = {state: status.health == state for state in ("ok", "overloaded", "degraded")}
         yield _gauge("health", "1 for the one that holds.", "state", health)
         yield _gauge("log_ok", "1 unless the log can't be written.", value=status.log.ok)

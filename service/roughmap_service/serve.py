@@ -182,14 +182,15 @@ def _run(
         )  # fmt: skip
         control = _Control(sequencer, snapshots, cut, config.service.control_timeout)
 
+        parts = Parts(sequencer, writer, intake, snapshots, memory, counters)
+
         def progress() -> Progress:
             return Progress(
                 durable_sequence=writer.durable_sequence,
                 input=state.input,
                 newest_stamp_ns=sequencer.newest_stamp_ns,
                 waiting=len(state.clouds),
-                overloaded=counters.overloaded,
-                memory_ok=memory.ok,
+                problems=parts.problems(),
                 log=LogState(file=str(writer.path), bytes=writer.size, ok=writer.ok),
             )
 
@@ -208,8 +209,7 @@ def _run(
         stack.enter_context(StatusPublisher(session, keys, status))
         stack.callback(intake.close)  # after the subscribers are gone; refuses what still comes
         stack.enter_context(ZenohInputs(session, keys, intake, replies, config.input.max_message, counters))
-        parts = Parts(sequencer, writer, intake, answers, snapshots, memory, counters)
-        show(parts, sources, status, config)
+        show(parts, answers, sources, status, config)
         stack.callback(parts.end, sources)
         announce(
             {
@@ -219,6 +219,7 @@ def _run(
         )  # fmt: skip
         stack.callback(ending.begin)  # first of all, however it comes to its end
         while not stop.wait(0.5):
+            parts.watch()
             if not sequencer.alive:
                 raise ServiceFailed(f"the sequencer failed: {sequencer.failure}")
             if memory.spill.failure:  # a map of which a part is lost must not be served on

@@ -23,6 +23,9 @@ log = logging.getLogger(__name__)
 SYNC_SECONDS = 10.0
 """How long a snapshot waits for the log to be on the disk through its cut; then the next one tries again."""
 
+HANG_SECONDS = 60.0
+"""A store that has taken no tile for so long hangs, or its disk does; a commit of gigabytes takes some of that."""
+
 READ_SECONDS = 0.05
 """How often a snapshot looks whether readings that it must wait for are over."""
 
@@ -70,7 +73,11 @@ class Snapshots:
         self._busy = threading.Lock()
         self._thread: threading.Thread | None = None
         self.sequence = stored.sequence if stored is not None else 0
+        self._asked: float | None = None  # since when the store is busy with what it was last given
+        self.ok = True
+        """Whether the store took what it was last given."""
         self.error = ""
+        """Why there was no snapshot the last time: the store's fault, or that others were not ready for it."""
 
     @property
     def enabled(self) -> bool:
@@ -101,6 +108,13 @@ class Snapshots:
         self._thread = thread
         return thread
 
+    def look(self) -> None:
+        """Look whether the store's disk still answers; call it now and then, since the thread that writes is what
+        hangs."""
+        asked = self._asked
+        if self.ok and asked is not None and time.monotonic() > asked + HANG_SECONDS:
+            self._fail(TimeoutError(f"its disk has not answered for {HANG_SECONDS:g} s"))
+
     def close(self, timeout: float) -> None:
         """Wait for the snapshot that is being written."""
         if self._thread is not None:
@@ -130,8 +144,14 @@ class Snapshots:
             if not self._wait_read(outlived):
                 self.error = "a reader holds tiles as they were stored before"
                 return
-            self._store.write(cut, frozen, after)
+            self._went_on()
+            self._store.write(cut, frozen, after, self._went_on)
+            self._asked = None
             self._epoch_of_tiles, self.sequence, self.error = cut.epoch, cut.sequence, ""
+            if not self.ok:
+                self.ok = True
+                text = f"the map can be stored again: {self._store.path}"
+                note(log, logging.WARNING, "snapshot_recovered", text, always=True)
             text = f"the map is stored through sequence {cut.sequence}"
             note(log, logging.INFO, "snapshot", text, sequence=cut.sequence, epoch=cut.epoch)
             self._delete_log(cut)
@@ -140,13 +160,21 @@ class Snapshots:
         finally:
             self._end(frozen)
 
+    def _went_on(self) -> None:
+        self._asked = time.monotonic()
+
     def _fail(self, error: Exception) -> None:
+        """The store did not take a snapshot: told once, until it takes one."""
         assert self._store is not None  # noqa: S101 - offer() saw to it
         why = str(error) or "no memory to write it"
         self.error = why if isinstance(error, SpillError | StoreError) else f"{self._store.path}: {why}"
-        note(log, logging.ERROR, "snapshot_failed", f"no snapshot: {self.error}", cause=self.error)
+        if self.ok:
+            self.ok = False
+            text = f"the map can't be stored ({self.error}); the log holds all, and it is tried again"
+            note(log, logging.ERROR, "snapshot_failed", text, always=True, cause=self.error)
 
     def _end(self, frozen: Frozen | None) -> None:
+        self._asked = None
         if frozen is not None:
             with self._view.reading():
                 frozen.close()

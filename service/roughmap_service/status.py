@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
@@ -29,6 +29,7 @@ from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refus
 from roughmap_service.counters import Counters
 from roughmap_service.logs import note
 from roughmap_service.memory import memory_bytes
+from roughmap_service.readiness import Problem, health_of
 from roughmap_service.tile_reply import Identity
 from roughmap_service.view import View
 
@@ -40,15 +41,14 @@ PERIOD_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """What only the sequencer and the log know, as of one moment."""
+    """What only the running parts know, as of one moment."""
 
     durable_sequence: int = 0
     input: int = 0
     newest_stamp_ns: int = 0
     waiting: int = 0
-    overloaded: bool = False
+    problems: Collection[Problem] = ()
     log: LogState = field(default_factory=LogState)
-    memory_ok: bool = True
 
 
 class Status:
@@ -79,9 +79,6 @@ class Status:
             extent, tiles, resident = rough_map.extent(), rough_map.tile_count, rough_map.resident_tiles
         counts = self._counters.snapshot()
         lag, (clouds, points, poses) = self._counters.lag(), self._counters.rates()
-        health = "ok" if progress.log.ok and progress.memory_ok else "degraded"
-        if progress.overloaded and health == "ok":
-            health = "overloaded"
         return MapStatus(
             map=self._identity.map,
             run=self._identity.run,
@@ -96,7 +93,7 @@ class Status:
             extent=extent,
             error_model=self._map.error_model,
             configuration_digest=self._identity.configuration_digest,
-            health=health,
+            health=health_of(progress.problems),
             sequence=sequence,
             durable_sequence=progress.durable_sequence,
             input=progress.input,

@@ -2,7 +2,7 @@
 
 import json
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -140,8 +140,9 @@ class Store:
             except ValueError as error:
                 raise DamagedStore(f"{self.path}: damaged ({error}); move the file away to rebuild it") from None
 
-    def write(self, cut: Cut, frozen: Frozen, after: int | None) -> None:
+    def write(self, cut: Cut, frozen: Frozen, after: int | None, went_on: Callable[[], None] = lambda: None) -> None:
         """Commit a cut: the tiles of ``frozen`` that changed after sequence ``after`` (None: all, and no others).
+        ``went_on`` is called at each tile.
 
         One transaction; what was there stays if anything fails. sqlite3.Error or OSError from the disk.
         """
@@ -155,7 +156,8 @@ class Store:
             try:
                 if after is None:
                     db.execute("DELETE FROM tiles")
-                db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?, ?, ?, ?)", _rows(frozen, after, pack))
+                tiles = _rows(frozen, after, pack, went_on)
+                db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?, ?, ?, ?)", tiles)
                 db.execute("DELETE FROM cut")
                 texts = {name: json.dumps(value, allow_nan=False) for name, value in asdict(cut).items()}
                 db.executemany("INSERT INTO cut VALUES (?, ?)", [*texts.items(), ("checksum", _checksum(texts))])
@@ -239,10 +241,13 @@ def _checksum(texts: Mapping[str, str]) -> str:
     return xxhash.xxh3_128_hexdigest(json.dumps(sorted(texts.items())).encode())
 
 
-def _rows(frozen: Frozen, after: int | None, pack: zstandard.ZstdCompressor) -> Iterable[tuple[Any, ...]]:
+def _rows(
+    frozen: Frozen, after: int | None, pack: zstandard.ZstdCompressor, went_on: Callable[[], None]
+) -> Iterable[tuple[Any, ...]]:
     for (tx, ty), sequence in zip(frozen.tiles.tolist(), frozen.sequences.tolist(), strict=True):
         if after is not None and sequence <= after:
             continue
+        went_on()
         raw = frozen.records(tx, ty).tobytes()
         oldest, newest = frozen.stamps(tx, ty)
         yield tx, ty, oldest, newest, bytes.fromhex(frozen.digest(tx, ty)), pack.compress(raw)

@@ -21,25 +21,37 @@ from .snapshots import Snapshots
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Parts:
     """The parts of a running service that are looked at."""
 
     sequencer: Sequencer
     writer: LogWriter
     intake: Intake
-    answers: Answers
     snapshots: Snapshots
     memory: Memory
     counters: Counters
+    _stalled: bool = False
 
     def problems(self) -> dict[Problem, str]:
-        """What stands in the way of taking in and answering."""
+        """What is wrong now."""
         return running_problems(
             alive=self.sequencer.alive, turned=self.sequencer.turned, failure=self.sequencer.failure,
             log_ok=self.writer.ok, log_error=self.writer.error, memory_ok=self.memory.ok,
-            overloaded=self.counters.overloaded,
+            store_ok=self.snapshots.ok, store_error=self.snapshots.error, overloaded=self.counters.overloaded,
         )  # fmt: skip
+
+    def watch(self) -> None:
+        """Look for what hangs, and tell of it when it begins and when it goes on; call it now and then, from a thread
+        that waits for no disk."""
+        self.writer.look()
+        self.snapshots.look()
+        why = self.problems().get(Problem.SEQUENCER_STALLED, "")
+        if why and not self._stalled:
+            note(log, logging.ERROR, "stalled", why, always=True)
+        elif self._stalled and not why:
+            note(log, logging.WARNING, "stall_ended", "the sequencer goes on", always=True)
+        self._stalled = bool(why)
 
     def end(self, sources: Sources) -> None:
         """Say that it shuts down, and what it did since its start."""
@@ -53,7 +65,7 @@ class Parts:
         )  # fmt: skip
 
 
-def show(parts: Parts, sources: Sources, status: Callable[[], MapStatus], config: Config) -> None:
+def show(parts: Parts, answers: Answers, sources: Sources, status: Callable[[], MapStatus], config: Config) -> None:
     """From now on the pages show these parts."""
     sources.readiness.become(parts.problems)
     if sources.url is None:
@@ -63,7 +75,7 @@ def show(parts: Parts, sources: Sources, status: Callable[[], MapStatus], config
     def depths() -> Depths:
         return Depths(
             intake_bytes=parts.intake.held, inbox_bytes=parts.sequencer.inbox.size, log_bytes=parts.writer.held,
-            queries_waiting=parts.answers.waiting, snapshot_sequence=parts.snapshots.sequence,
+            queries_waiting=answers.waiting, snapshot_sequence=parts.snapshots.sequence,
             snapshot_ok=not parts.snapshots.error, memory_taken=parts.memory.taken,
         )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""A disk that is full, broken or read-only under a service at work: degraded, answering, refusing, and back again."""
+"""A disk that is full, broken, read-only or hangs under a service at work: degraded, answering, refusing, and back."""
 
 import errno
 import random
@@ -50,7 +50,12 @@ def full_disks(trial: Trial, folder: Path, rng: random.Random, number: int) -> N
                 error, calls, every, only = FAULTS[n % len(FAULTS)]
                 name = f"{error} at every {every}. {' and '.join(calls)} of {only or 'log and store'}"
                 with shim.failing(*calls, every=every, error=getattr(errno, error), only=only):
-                    _under(trial, shim, client, session, name, total=every == 1 and only != "store", stamp=T0 + n)
+                    _wait_failed(trial, shim, name)
+                    if only == "store":
+                        _stored_nowhere(trial, client, fleet, name)
+                    elif every == 1:
+                        _refuses(trial, client, session, name, stamp=T0 + n)
+                    _answers(trial, client, name)
                 before = fleet.promised
                 trial.expect(_comes(client, "ok"), f"{name}: not ok again afterwards")
                 trial.expect(fleet.wait_promised(before + 20), f"{name}: no receipts afterwards")
@@ -62,26 +67,61 @@ def full_disks(trial: Trial, folder: Path, rng: random.Random, number: int) -> N
     _whole(trial, fleet, shim.root / "log")
 
 
-def _under(
-    trial: Trial, shim: Shim, client: RoughMapClient, session: zenoh.Session, name: str, *, total: bool, stamp: int
-) -> None:
-    """While the fault is there."""
+def hung_disks(trial: Trial, folder: Path, rng: random.Random, number: int) -> None:
+    """The same with a disk of the log that answers nothing for a while, in turns its syncs, its writes and both."""
+    shim = Shim(folder)
+    fleet = Fleet(rng.randrange(1 << 30))
+    with Service(folder, environ=shim.environ, **settings(shim.root)) as service:
+        endpoints = service.ready()["endpoints"]
+        with zenoh.open(peer_config(connect=endpoints)) as session, fleet.at_work(endpoints):
+            client = RoughMapClient("site", session=session, timeout=WAIT_S)
+            trial.expect(fleet.wait_promised(50), "no receipts at all")
+            for n in range(number):
+                name = f"hung {('writes', 'syncs', 'syncs and writes')[n % 3]} of the log"
+                with shim.hanging(syncs=n % 3 != 0, writes=n % 3 != 1, only="log"):
+                    _refuses(trial, client, session, name, stamp=T0 + n)
+                    _answers(trial, client, name)
+                before = fleet.promised
+                trial.expect(_comes(client, "ok"), f"{name}: not ok again afterwards")
+                trial.expect(fleet.wait_promised(before + 20), f"{name}: no receipts afterwards")
+                trial.once()
+        with fleet.at_work(endpoints, most=5, asking=False) as done:
+            trial.expect(done.wait(WAIT_S), f"not acknowledged: {fleet.left()}")
+        trial.expect(service.stop() == 0, f"the end: {service.err[-3:]}")
+    _whole(trial, fleet, shim.root / "log")
+
+
+def _wait_failed(trial: Trial, shim: Shim, name: str) -> None:
     seen = shim.failed
     for _ in range(200):
         if shim.failed > seen + 3:
             break
         threading.Event().wait(0.05)
     trial.expect(shim.failed > seen, f"{name}: nothing failed")
-    if total:
-        trial.expect(_comes(client, "degraded"), f"{name}: not degraded")
-        payload = encode_odometry(stamp, "map", (0, 0, 0), (0, 0, 0, 1))
-        code = ""
-        try:
-            ask(session, "maps/site/ingest/late/odometry", timeout=WAIT_S, payload=payload).single()
-        except QueryRefused as refused:
-            code = refused.code
-        trial.expect(code == "log_unavailable", f"{name}: ingest answered {code or 'with a receipt'}")
-        trial.note("were degraded")
+
+
+def _refuses(trial: Trial, client: RoughMapClient, session: zenoh.Session, name: str, stamp: int) -> None:
+    """Nothing reaches the log: that is said, and nothing acknowledged."""
+    trial.expect(_comes(client, "degraded"), f"{name}: not degraded")
+    payload = encode_odometry(stamp, "map", (0, 0, 0), (0, 0, 0, 1))
+    code = ""
+    try:
+        ask(session, "maps/site/ingest/late/odometry", timeout=WAIT_S, payload=payload).single()
+    except QueryRefused as refused:
+        code = refused.code
+    trial.expect(code == "log_unavailable", f"{name}: ingest answered {code or 'with a receipt'}")
+    trial.note("were degraded")
+
+
+def _stored_nowhere(trial: Trial, client: RoughMapClient, fleet: Fleet, name: str) -> None:
+    """No snapshot can be made: that is said, and all else goes on."""
+    trial.expect(_comes(client, "degraded"), f"{name}: not degraded")
+    before = fleet.promised
+    trial.expect(fleet.wait_promised(before + 20), f"{name}: no receipts meanwhile")
+    trial.note("were degraded, and took in")
+
+
+def _answers(trial: Trial, client: RoughMapClient, name: str) -> None:
     answer = client.region((-45.0, -45.0, 45.0, 45.0), ["mean_height"], level=2)
     trial.expect(answer.known_cells > 0, f"{name}: a query found nothing")
 

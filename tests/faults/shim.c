@@ -64,10 +64,12 @@ static void note(int64_t what, int64_t handle, int64_t number, int64_t flags, co
     if (REAL(writev)(journal, parts, 4) < 0) abort();
 }
 
+static int spared(int log) { return (control[ONLY_LOG] == 1 && !log) || (control[ONLY_LOG] == 2 && log); }
+
 /* Whether this call is one that the test wants to fail. */
 static int fails(int which, int log) {
     int64_t every = __atomic_load_n(&control[which], __ATOMIC_SEQ_CST);
-    if (!every || (control[ONLY_LOG] == 1 && !log) || (control[ONLY_LOG] == 2 && log)) return 0;
+    if (!every || spared(log)) return 0;
     if (__atomic_add_fetch(&control[COUNT], 1, __ATOMIC_SEQ_CST) % every) return 0;
     __atomic_add_fetch(&control[FAILED], 1, __ATOMIC_SEQ_CST);
     errno = (int)control[ERRNO];
@@ -114,8 +116,14 @@ int close(int fd) {
     return REAL(close)(fd);
 }
 
+/* A disk that is stuck: 1, its syncs; 2, its writes; 3, both. */
+static void stuck(int fd, int64_t what) {
+    while (tracked(fd) && !spared(is_log[fd]) && __atomic_load_n(&control[HANG], __ATOMIC_SEQ_CST) & what) usleep(10000);
+}
+
 /* A full disk takes a part, and nothing after it; other faults take nothing. */
 static ssize_t written(int fd, const void *data, size_t length, off_t offset, int at_offset) {
+    stuck(fd, 2);
     if (starved[fd]) {
         starved[fd] = 0;
         errno = (int)control[ERRNO];
@@ -142,7 +150,7 @@ ssize_t pwrite64(int fd, const void *data, size_t length, off64_t offset) {
 }
 
 static int synced(int fd, int only_data) {
-    while (tracked(fd) && __atomic_load_n(&control[HANG], __ATOMIC_SEQ_CST)) usleep(10000); /* a disk that is stuck */
+    stuck(fd, 1);
     if (tracked(fd) && fails(SYNC_EVERY, is_log[fd])) return -1;
     if (!tracked(fd)) return only_data ? REAL(fdatasync)(fd) : REAL(fsync)(fd);
     pthread_mutex_lock(&lock);

@@ -39,6 +39,16 @@ class Shim:
         """Set one word."""
         struct.pack_into("<q", self._page, 8 * WORDS.index(name), value)
 
+    @contextmanager
+    def hanging(self, *, syncs: bool = True, writes: bool = False, only: str = "") -> Iterator[None]:
+        """While it lasts, calls of these kinds don't return."""
+        self.set("only", ONLY[only])
+        self.set("hang", syncs + 2 * writes)
+        try:
+            yield
+        finally:
+            self.set("hang", 0)
+
     @property
     def failed(self) -> int:
         """Calls that were made to fail."""

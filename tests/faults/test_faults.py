@@ -21,6 +21,7 @@ SHORT = {
     "storeflips": 40,
     "stores": 30,
     "disk": 1,
+    "hang": 1,
     "realdisk": 1,
     "clock": 2,
     "links": 2,

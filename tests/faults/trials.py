@@ -7,7 +7,7 @@ from pathlib import Path
 from bad_links import lost_messages, torn_links
 from bytes_lost import log_cuts, log_flips, store_flips
 from clock_jumps import clock_jumps
-from full_disk import full_disks, real_disk
+from full_disk import full_disks, hung_disks, real_disk
 from kill_and_cut import kills_and_cuts
 from kills import kills, kills_in_shutdown, kills_in_start
 from odd_stores import odd_stores
@@ -35,6 +35,7 @@ TRIALS: dict[str, tuple[str, Try, int]] = {
     "storeflips": ("one bit flipped in the store", store_flips, 500),
     "stores": ("store gone, old, or newer than the log", odd_stores, 200),
     "disk": ("disk full, broken, read-only (injected)", full_disks, 12),
+    "hang": ("disk hangs (injected)", hung_disks, 6),
     "realdisk": ("file system full, then read-only (real)", real_disk, 2),
     "clock": ("wall clock jumps an hour", clock_jumps, 10),
     "links": ("link cut and held up under ingest", torn_links, 20),

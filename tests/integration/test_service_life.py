@@ -68,17 +68,6 @@ def test_a_signal_ends_it_in_order(tmp_path: Path, number: signal.Signals) -> No
         assert replay(service.log)[1].startswith("equal: 1 checkpoints, sequence 1, digest ")
 
 
-def test_a_second_signal_ends_it_at_once(tmp_path: Path) -> None:
-    """Both signals wait for a process that is stopped, so that the second is there before the end can be."""
-    with Service(tmp_path) as service:
-        service.ready()
-        service.process.send_signal(signal.SIGSTOP)
-        service.process.send_signal(signal.SIGTERM)
-        service.process.send_signal(signal.SIGINT)
-        service.process.send_signal(signal.SIGCONT)
-        assert service.finished() == 1
-
-
 def test_a_second_service_of_the_same_map_does_not_start(service: Service, tmp_path: Path) -> None:
     ready = service.ready()
     code, said = refused(tmp_path, zenoh={"connect": ready["endpoints"]})

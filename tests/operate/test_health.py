@@ -9,7 +9,7 @@ import pytest
 from operate_pages import pages
 
 from roughmap_service.cli.main import run
-from roughmap_service.readiness import Problem, Readiness, Sources, running_problems
+from roughmap_service.readiness import Problem, Readiness, Sources, health_of, running_problems
 
 TOKEN = "the token of this page"
 
@@ -24,7 +24,7 @@ def health(listen: str, *arguments: str) -> int:
 
 
 @pytest.mark.parametrize("problem", [None, *Problem])
-def test_an_overload_is_no_failure_and_all_else_is(
+def test_an_overload_or_a_failed_snapshot_is_no_failure_and_all_else_is(
     problem: Problem | None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     readiness = Readiness()
@@ -32,7 +32,7 @@ def test_an_overload_is_no_failure_and_all_else_is(
     monkeypatch.setenv("ROUGHMAP_HTTP__TOKEN", TOKEN)
     with pages(Sources(readiness), token=TOKEN) as server:
         code = health(server.url.removeprefix("http://"))
-    assert code == (0 if problem in (None, Problem.OVERLOADED) else 1)
+    assert code == (0 if problem in (None, Problem.OVERLOADED, Problem.SNAPSHOT_FAILED) else 1)
     assert capsys.readouterr().out == f"site: {problem}: for a cause\n" if problem else "site: ok\n"
 
 
@@ -72,6 +72,8 @@ def test_what_a_running_service_can_suffer_from() -> None:
         "log_ok": True,
         "log_error": "",
         "memory_ok": True,
+        "store_ok": True,
+        "store_error": "",
         "overloaded": False,
     }
 
@@ -82,5 +84,12 @@ def test_what_a_running_service_can_suffer_from() -> None:
     assert list(found(alive=False, failure=ValueError("a cause"))) == [Problem.SEQUENCER_DEAD]
     assert "a cause" in found(alive=False, failure=ValueError("a cause"))[Problem.SEQUENCER_DEAD]
     assert list(found(turned=float("-inf"))) == [Problem.SEQUENCER_STALLED]
-    all_three = [Problem.LOG_NOT_WRITABLE, Problem.MEMORY_FULL, Problem.OVERLOADED]
-    assert list(found(log_ok=False, memory_ok=False, overloaded=True)) == all_three
+    assert "map.db: no room" in found(store_ok=False, store_error="map.db: no room")[Problem.SNAPSHOT_FAILED]
+    all_four = [Problem.LOG_NOT_WRITABLE, Problem.MEMORY_FULL, Problem.SNAPSHOT_FAILED, Problem.OVERLOADED]
+    assert list(found(log_ok=False, memory_ok=False, store_ok=False, overloaded=True)) == all_four
+
+
+def test_of_the_words_for_health_an_overload_is_the_weaker() -> None:
+    assert (health_of([]), health_of([Problem.OVERLOADED])) == ("ok", "overloaded")
+    for problem in set(Problem) - {Problem.OVERLOADED}:
+        assert health_of([problem]) == health_of([Problem.OVERLOADED, problem]) == "degraded"

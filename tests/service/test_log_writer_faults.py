@@ -2,12 +2,16 @@
 
 import errno
 import io
+import logging
+import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 from service_tools import WAIT_S, Run, events_of, inputs_of, read_back, starts_of
 
+from roughmap_service import log_writer
+from roughmap_service.log_file import Kind, LogRecord
 from roughmap_service.log_keep import delete_oldest
 from roughmap_service.log_reader import find_files
 from roughmap_service.snapshots import cut_of
@@ -43,6 +47,61 @@ def test_what_a_full_disk_would_not_take_is_first_in_the_next_file(tmp_path: Pat
     assert len(starts_of(items)) == len(opened) == 2
     assert [item.number for item in inputs_of(items)] == list(range(1, 10))
     assert events_of(items)[1:] == events
+
+
+class Stuck(io.FileIO):
+    """A file that takes nothing while ``free`` is not set, and then all, or all but what it was to take meanwhile."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "xb")
+        self.free, self.asked, self.broken = threading.Event(), threading.Event(), False
+        self.free.set()
+
+    def write(self, data: Any) -> int:
+        if not self.free.is_set():
+            self.asked.set()
+            assert self.free.wait(WAIT_S)
+            if self.broken:
+                raise OSError(errno.EIO, "Input/output error", str(self.name))
+        return super().write(data)
+
+
+@pytest.mark.parametrize("broken", [False, True])
+def test_a_disk_that_hangs_is_one_that_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, broken: bool
+) -> None:
+    """From when that is seen on until it answers; each told once. It may answer that it is broken."""
+    opened: list[Stuck] = []
+
+    def open_file(path: Path) -> Any:
+        opened.append(Stuck(path))
+        return io.BufferedWriter(opened[-1])
+
+    monkeypatch.setattr(log_writer, "HANG_SECONDS", 0.0)
+    caplog.set_level(logging.INFO)
+    output = LogRecord(Kind.QUERIES, "maps/site/queries", b"{}", 0, 0)
+    with Run(tmp_path, open_file=open_file) as run:
+        run.scan(0.0)
+        assert run.writer.wait_synced(WAIT_S)
+        run.writer.look()
+        assert run.writer.ok, "a disk that is asked for nothing does not hang"
+        opened[0].broken = broken
+        opened[0].free.clear()
+        run.scan(1.0)
+        assert opened[0].asked.wait(WAIT_S)
+        assert run.writer.ok, "nobody looked"
+        for _ in range(2):
+            run.writer.look()
+        assert run.writer.error == f"{run.writer.path}: its disk has not answered for 0 s"
+        assert not run.writer.wait_room(0.0)
+        assert not run.writer.put_output(output)
+        opened[0].free.set()
+        assert run.writer.wait_room(WAIT_S)
+        assert run.writer.wait_synced(WAIT_S)
+        assert (run.writer.ok, run.writer.error, len(opened)) == (True, "", 1 + broken)
+    told = [record.event for record in caplog.records if record.name == log_writer.__name__]  # type: ignore[attr-defined]
+    assert told == ["degraded", *(["degraded"] if broken else []), "recovered"]
+    assert [item.number for item in inputs_of(read_back(tmp_path))] == list(range(1, 7))
 
 
 @pytest.mark.parametrize(("keep", "left"), [(0, 1), (1 << 40, 3)])

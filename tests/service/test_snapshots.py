@@ -1,5 +1,6 @@
 """A snapshot that can't be made says so, lets go of the map, and leaves the way free for the next."""
 
+import logging
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 from service_tools import WAIT_S, Run, cloud
 
 from roughmap import RoughMap
+from roughmap_service import snapshots
 from roughmap_service.log_file import Kind
 from roughmap_service.recovery import recover
 from roughmap_service.snapshots import cut_of
@@ -46,6 +48,53 @@ def test_no_snapshot(
                 thread.join(WAIT_S)
         assert told in run.snapshots.error
         assert str(store.path) in run.snapshots.error
+        assert not run.snapshots.ok
         assert not run.state.map._table.pool.pins.any()
         run.snapshot()
+        assert run.snapshots.ok
         assert recover(run.config, tmp_path / "log", store).state.map.digest() == run.state.map.digest()
+
+
+def test_what_the_store_does_not_take_is_told_once_and_so_is_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    with Run(tmp_path / "log", store=Store(tmp_path / "folder" / "map.db")) as run:
+        (tmp_path / "folder").write_text("a file is in its way")
+        for _ in range(3):
+            thread = run.snapshots.offer(cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
+            assert thread is not None
+            thread.join(WAIT_S)
+            assert not run.snapshots.ok
+        (tmp_path / "folder").unlink()
+        run.snapshot()
+        run.snapshot()
+    told = [record.event for record in caplog.records if record.name == snapshots.__name__]  # type: ignore[attr-defined]
+    assert told == ["snapshot_failed", "snapshot_recovered", "snapshot", "snapshot"]
+
+
+def test_a_store_that_hangs_is_one_that_takes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From when that is seen on, until a snapshot is there."""
+    asked, free, write = threading.Event(), threading.Event(), Store.write
+
+    def stuck(*arguments: Any) -> None:
+        asked.set()
+        assert free.wait(WAIT_S)
+        write(*arguments)
+
+    monkeypatch.setattr(snapshots, "HANG_SECONDS", 0.0)
+    monkeypatch.setattr(Store, "write", stuck)
+    store = Store(tmp_path / "map.db")
+    with Run(tmp_path / "log", store=store) as run:
+        run.snapshots.look()
+        assert run.snapshots.ok, "nothing is being stored"
+        thread = run.snapshots.offer(cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
+        assert thread is not None
+        assert asked.wait(WAIT_S)
+        assert run.snapshots.ok, "nobody looked"
+        run.snapshots.look()
+        assert (run.snapshots.ok, run.snapshots.error) == (False, f"{store.path}: its disk has not answered for 0 s")
+        free.set()
+        thread.join(WAIT_S)
+        run.snapshots.look()
+        assert (run.snapshots.ok, run.snapshots.error) == (True, "")

@@ -248,7 +248,7 @@ def differences(
     elif int(equal[2]) != status.sequence:
         found.append(f"the service was at sequence {status.sequence}, its replay at {equal[2]}")
     if status.health == "degraded":
-        found.append("the service's health is degraded: it could not write its log")
+        found.append("the service's health is degraded: it could not write its log or its store")
     if not known:
         found.append("no cell is known")
     found += [f"a query failed: {error}" for error in planner.errors[:3]]

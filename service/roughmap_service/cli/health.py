@@ -12,8 +12,12 @@ from roughmap_schemas.config import Config
 from roughmap_schemas.config_load import LoadedConfig
 from roughmap_service.cli.options import Failure, config_options, json_option, load, reachable
 from roughmap_service.http_token import HttpError, token_of
+from roughmap_service.readiness import HINDERS_NOTHING, Problem
 
 TIMEOUT_S = 3.0
+
+WORKS = {str(problem) for problem in (Problem.OVERLOADED, *HINDERS_NOTHING)}
+"""With these a service works: a restart, which a failed check may bring about, would better nothing."""
 
 MAX_ANSWER = 1 << 16
 """Bytes of an answer that are read: whatever sends more is no readiness page."""
@@ -26,8 +30,9 @@ def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], a
     """roughmap health
 
     Exit 0 if the service of this configuration works, 1 if it is not there, not ready or can't write its log; one line
-    says which. An overloaded service works: it keeps what it can and counts the rest. Asks the page /readyz, or over
-    Zenoh where http.listen is off or on a port that the system chooses.
+    says which. An overloaded service works: it keeps what it can and counts the rest. So does one whose store fails:
+    the log holds all. Asks the page /readyz; or over Zenoh, where http.listen is off or on a port that the system
+    chooses, where every `degraded` is a failure since no cause is told.
     """
     loaded = load(config_path, settings)
     config = loaded.config
@@ -37,7 +42,7 @@ def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], a
         problems = _ask_page(config) if by_http else _ask_status(loaded)
     except Failure as error:
         problems = {"not_there": error.message}
-    works = not problems.keys() - {"overloaded"}
+    works = not problems.keys() - WORKS
     if as_json:
         click.echo(json.dumps({"works": works, "map": config.map.name, "problems": problems}))
     else:
@@ -100,5 +105,8 @@ def _ask_status(loaded: LoadedConfig) -> dict[str, str]:
             raise Failure(f"{error}; is the map {config.map.name!r} served there?") from None
     if status.health == "ok":
         return {}
-    log = "" if status.log.ok else "the log can't be written"
-    return {str(status.health): log}
+    if status.health == "overloaded":
+        return {str(Problem.OVERLOADED): ""}
+    if not status.log.ok:
+        return {str(Problem.LOG_NOT_WRITABLE): "the log can't be written"}
+    return {str(status.health): "its log lines and, where http.listen is on, /readyz name the cause"}
