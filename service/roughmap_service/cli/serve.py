@@ -73,3 +73,5 @@ def serve(
     run(loaded, stop, announce, fresh=fresh, insecure=insecure, progress=progress)
     text = f"ended in order on {reason}, after {time.monotonic() - begun:.0f} s"
     note(log, logging.INFO, "end", text, signal=reason)
+    logging.shutdown()
+    os._exit(0)  # a thread that Zenoh lets go of only now would find the interpreter half gone, and abort
