@@ -19,7 +19,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.writer import CompressionType, Writer
 from pydantic import TypeAdapter
 
-from roughmap_schemas import EVENT, QueryRecord, RunMetadata, UpdateRecord
+from roughmap_schemas import EVENT, Event, QueryRecord, RunMetadata, UpdateRecord, encode_event
 from roughmap_schemas.run_metadata import RECORD_NAME
 
 from .disk import sync_directory
@@ -74,6 +74,12 @@ class LogRecord:
     number: int = 0
     epoch: int = 0
     sequence: int = 0
+
+
+def event_record(topic: str, event: Event, now_ns: int) -> LogRecord:
+    """An event on its way to the log."""
+    payload = encode_event(event)
+    return LogRecord(Kind.EVENTS, topic, payload, now_ns, now_ns, epoch=event.epoch, sequence=event.sequence)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,7 @@ from roughmap import RoughMap
 from roughmap_schemas import (
     CheckpointEvent,
     Cloud,
-    CloudReason,
     Event,
-    IntegrationEvent,
     Keys,
     MessageFault,
     Odometry,
@@ -27,15 +25,15 @@ from roughmap_schemas import (
 from .admission import admit
 from .apply import RunState, span
 from .counters import Counters
+from .decider import Decider
 from .fold import Content
-from .inbox import Decision, Inbox, WaitingCloud
+from .inbox import Inbox, WaitingCloud
 from .ingest import Duplicates
 from .intake import InputMessage, Intake, refuse
-from .log_file import Kind, LogRecord
+from .log_file import LogRecord, event_record
 from .log_writer import LogWriter, Rotate, Sync
 from .logs import note
 from .memory import Memory
-from .settings import NS
 from .view import View
 
 log = logging.getLogger(__name__)
@@ -63,8 +61,7 @@ class Sequencer:
     """Takes inputs from the intake to the map.
 
     Each turn: log and take up all that came in, then decide and place one cloud, so that under load clouds pile up
-    where they are counted (the inbox) and poses never wait behind them. An event is queued to the log after all that
-    it names and before anyone can see the map that it makes.
+    where they are counted (the inbox) and poses never wait behind them.
     """
 
     def __init__(
@@ -95,16 +92,12 @@ class Sequencer:
         self._publish_event = publish_event
         self._take_snapshot = take_snapshot
         self._before_reset = before_reset
-        self._arrived: dict[int, float] = {}
         self._robots = set(state.poses)
         self._checkpoint_sequence = 0
-        self.newest_stamp_ns = state.map.newest_updated * NS
         self._next_checkpoint = time.monotonic() + intervals.checkpoint
         self._next_snapshot = time.monotonic() + intervals.snapshot
         self._stopping = threading.Event()
-        self._heard = time.monotonic()
-        """All that came in until then is taken up: the inbox's clock, so that no cloud ends for want of poses that
-        only wait behind it."""
+        self.decider = Decider(state, view, self.inbox, writer, counters, memory, self._log_event, publish_event)
         self.turned = time.monotonic()
         """When it last began a turn: whoever asks whether it still works looks at this."""
         self.failure: BaseException | None = None
@@ -175,7 +168,7 @@ class Sequencer:
             self._before_reset(rough_map)
             self.state.apply(event)
             self.view.epoch = self.state.epoch
-        self.newest_stamp_ns = 0
+        self.decider.newest_stamp_ns = 0
         self._publish_event(encode_event(event))
         return event.sequence, event.epoch
 
@@ -199,11 +192,11 @@ class Sequencer:
         for number, message in enumerate(messages, 1):
             self._accept(message)
             if number % BREATH == 0:
-                self._advance()
-        self._heard = heard
+                self.decider.advance()
+        self.decider.heard = heard
         for command in commands:
             command()
-        decided = self._advance()
+        decided = self.decider.advance()
         if not decided and not messages:  # readers and queues take memory too
             self._memory.relieve(self.view.reading)
         now = time.monotonic()
@@ -271,7 +264,7 @@ class Sequencer:
         replay, too, forgets old poses at that place."""
         horizon = stamp_ns - self.state.settings.history_ns
         while self.inbox.holds_before(robot, horizon):
-            if not self._decide():
+            if not self.decider.decide():
                 return
 
     def _log_fault(self, more: str = "") -> MessageFault:
@@ -286,7 +279,7 @@ class Sequencer:
         if isinstance(content, Cloud):
             self.state.take_cloud(number, content)
             first, last = span(content)
-            self._arrived[number] = message.arrival
+            self.decider.arrived[number] = message.arrival
             promised, size = message.reply is not None, content.held_bytes
             self.inbox.feed(WaitingCloud(number, message.robot, content, first, last, message.arrival, size, promised))
         elif isinstance(content, Odometry):
@@ -317,47 +310,6 @@ class Sequencer:
         reply = message.reply
         self._writer.put(Sync(lambda: reply.receipt(receipt)))
 
-    def _advance(self) -> bool:
-        """Decide a cloud, if one can be; all that only has to be told comes before it: it must not pile up behind."""
-        while self.inbox.ended and self._decide():
-            pass
-        return self._decide()
-
-    def _decide(self) -> bool:
-        """Decide at most one cloud; none while the log can't be written."""
-        if not self._writer.wait_room(0.0):
-            return False
-        decision = self.inbox.tick(self._heard)
-        if decision is None:
-            return False
-        proposal = _proposal(decision, self.state)
-        self._memory.relieve(self.view.reading)  # before the map is held: it may write to the disk
-        self.state.no_new_tiles = self._memory.full
-        with self.view.change():
-            begun = time.monotonic()
-            done = self._place(proposal)
-            took = time.monotonic() - begun
-            self._log_event(done)
-        assert isinstance(done, IntegrationEvent)  # noqa: S101 - what an integration becomes
-        arrival = self._arrived.pop(done.input, None)
-        if done.accepted:
-            self.newest_stamp_ns = max(self.newest_stamp_ns, decision.cloud.last_ns)
-        rejected = {str(reason): n for reason, n in done.rejected.items()}
-        self._counters.cloud(str(done.outcome), done.accepted, rejected, arrival, took)
-        self._publish_event(encode_event(done))
-        return True
-
-    def _place(self, proposal: IntegrationEvent) -> Event:
-        """Apply a decision. A cloud that there is no memory for ends as `overload`: the map is as it was before it, and
-        no replay, which may have the memory, places it either."""
-        cloud = self.state.clouds[proposal.input]
-        try:
-            return self.state.apply(proposal)
-        except MemoryError:
-            log.error("input %d: no memory to place its cloud", proposal.input)
-            self.state.take_cloud(proposal.input, cloud)
-            return self.state.apply(proposal.model_copy(update={"outcome": CloudReason.OVERLOAD}))
-
     def checkpoint(self) -> None:
         """Log the map's digest, if the map changed since the last one."""
         if self.state.map.sequence == self._checkpoint_sequence or not self._writer.ok:
@@ -369,29 +321,4 @@ class Sequencer:
 
     def _log_event(self, event: Event) -> None:
         self.state.record += 1
-        now = time.time_ns()
-        self._writer.put(
-            LogRecord(
-                Kind.EVENTS,
-                self._keys.events,
-                encode_event(event),
-                now,
-                now,
-                epoch=event.epoch,
-                sequence=event.sequence,
-            )
-        )
-
-
-def _proposal(decision: Decision, state: RunState) -> IntegrationEvent:
-    cloud = decision.cloud
-    return IntegrationEvent(
-        epoch=state.epoch,
-        input=cloud.input,
-        robot=cloud.robot,
-        poses=[(pose.input, pose.transform) for pose in decision.poses],
-        outcome=decision.outcome,
-        accepted=0,
-        rejected={},
-        sequence=state.map.sequence,
-    )
+        self._writer.put(event_record(self._keys.events, event, time.time_ns()))

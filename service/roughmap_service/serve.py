@@ -1,14 +1,11 @@
 """The service: everything wired together, from the recovered map to the last fsync."""
 
-import fcntl
 import logging
-import os
-import stat
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,8 +15,6 @@ import zenoh
 from roughmap_schemas import (
     Config,
     Keys,
-    QueryCode,
-    QueryFault,
     QueryRecord,
     RunMetadata,
     configuration_digest,
@@ -30,13 +25,14 @@ from roughmap_schemas.encodings import json_encoding
 from roughmap_schemas.messages import LogState
 
 from .answers import Answers
+from .control import Control
 from .counters import Counters
-from .disk import make_directory, open_lock
 from .emptied import Emptied
 from .ending import Ending
 from .http_server import HttpServer
 from .ingest import Replies
 from .intake import Intake, ZenohInputs
+from .locks import locked
 from .log_file import Kind, LogRecord
 from .log_writer import LogWriter
 from .logs import note
@@ -94,7 +90,7 @@ def serve(
     session_config = zenoh_config(loaded)
     check_exposure(session_config, loaded, insecure=insecure)
     with ExitStack() as stack:
-        stack.enter_context(_locked(directory, store))
+        stack.enter_context(locked(directory, store))
         sources = Sources(Readiness(), config.map.name)
         if config.http.listen is not None:
             sources.url = stack.enter_context(HttpServer(config.http, sources, insecure=insecure)).url
@@ -180,7 +176,7 @@ def _run(
             Intervals(config.log.checkpoint_interval, config.store.snapshot_interval),
             publish_event=publish, take_snapshot=cut, before_reset=emptied.note,
         )  # fmt: skip
-        control = _Control(sequencer, snapshots, cut, config.service.control_timeout)
+        control = Control(sequencer, snapshots, cut, config.service.control_timeout)
 
         parts = Parts(sequencer, writer, intake, snapshots, memory, counters)
 
@@ -188,7 +184,7 @@ def _run(
             return Progress(
                 durable_sequence=writer.durable_sequence,
                 input=state.input,
-                newest_stamp_ns=sequencer.newest_stamp_ns,
+                newest_stamp_ns=sequencer.decider.newest_stamp_ns,
                 waiting=len(state.clouds),
                 problems=parts.problems(),
                 log=LogState(file=str(writer.path), bytes=writer.size, ok=writer.ok),
@@ -286,77 +282,6 @@ def _writer(config: Config, directory: Path, metadata: RunMetadata, last_ns: int
         last_ns=last_ns,
         synced=counters.log_synced,
     )
-
-
-@contextmanager
-def _locked(directory: Path, store: Store | None) -> Iterator[None]:
-    """Hold the log directory and the store against a second service."""
-    locks = {"log.directory": directory / ".lock"}
-    if store is not None:
-        if store.path.is_dir():
-            raise ServeError(f"store.path: {store.path} is a folder; name a file, such as {store.path / 'map.db'}")
-        locks["store.path"] = store.path.with_name(store.path.name + ".lock")
-    with ExitStack() as stack:
-        for setting, path in locks.items():
-            with _writing(setting, path.parent):
-                make_directory(path.parent)
-            if path.parent.stat().st_mode & stat.S_IWOTH:
-                raise ServeError(
-                    f"{path.parent}: everybody on this machine may write there, and forge the map; give log.directory "
-                    "and store.path folders of their own, or chmod o-w"
-                )
-            with _writing(setting, path):
-                handle = stack.enter_context(open_lock(path))
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise ServeError(
-                    f"{path}: held by another service; give this one its own log.directory and store.path"
-                ) from None
-        yield
-
-
-@contextmanager
-def _writing(setting: str, path: Path) -> Iterator[None]:
-    """What is made in here is made in a place that can be: ServeError that names the setting where it can't. A disk
-    that is full or broken is no matter of settings: a later start may find it well."""
-    try:
-        yield
-    except (PermissionError, FileExistsError, FileNotFoundError, NotADirectoryError) as error:
-        mend = f"let the user {os.getuid()} write there, or set {setting} to another place"
-        cause = "a file is in its way" if isinstance(error, FileExistsError) else error.strerror
-        raise ServeError(f"{setting}: {path} can't be written: {cause}; {mend}") from None
-
-
-class _Control:
-    """What an operator may ask for."""
-
-    def __init__(self, sequencer: Sequencer, snapshots: Snapshots, cut: Callable[[], None], timeout: float) -> None:
-        self._sequencer = sequencer
-        self._snapshots = snapshots
-        self._cut = cut
-        self._timeout = timeout
-
-    def snapshot(self) -> tuple[int, int]:
-        """Store the map as it is now; (sequence, epoch) of what is stored."""
-        if not self._snapshots.enabled:
-            raise QueryFault(QueryCode.BAD_KEY, "this service has no store (store.path)")
-        wanted = self._sequencer.state.map.sequence
-        until = time.monotonic() + self._timeout
-        while self._snapshots.sequence < wanted and time.monotonic() < until:
-            self._sequencer.call(self._cut, self._timeout)
-            self._snapshots.close(self._timeout)
-            if self._snapshots.error:
-                break
-        if self._snapshots.sequence < wanted:
-            raise QueryFault(QueryCode.INTERNAL, f"no snapshot: {self._snapshots.error or 'it took too long'}")
-        return self._snapshots.sequence, self._sequencer.view.epoch
-
-    def reset(self) -> tuple[int, int]:
-        """Empty the map; the (sequence, epoch) that begin with it."""
-        done: list[tuple[int, int]] = []
-        self._sequencer.call(lambda: done.append(self._sequencer.reset()), self._timeout)
-        return done[0]
 
 
 class _Outputs:

@@ -121,6 +121,7 @@ _LATE = (
     ("roughmap_service.http_token", "HttpError", 2),
     ("roughmap_service.serve", "ServiceFailed", 1),
     ("roughmap_service.serve", "ServeError", 2),
+    ("roughmap_service.locks", "LockError", 2),
 )
 """Module, error and exit code; only a command that needs the module has loaded it, so it isn't imported for this."""
 

@@ -1,0 +1,106 @@
+"""Clouds, one at a time: decided, placed in the map, and the event of it logged before anyone can see the result."""
+
+import logging
+import time
+from collections.abc import Callable
+
+from roughmap_schemas import CloudReason, Event, IntegrationEvent, encode_event
+
+from .apply import RunState
+from .counters import Counters
+from .inbox import Decision, Inbox
+from .log_writer import LogWriter
+from .memory import Memory
+from .settings import NS
+from .view import View
+
+log = logging.getLogger(__name__)
+
+
+class Decider:
+    """Decides what waits in the inbox; for the sequencer's thread alone.
+
+    Attributes:
+        arrived: when an input came, in monotonic s, until it is decided.
+        heard: all that came in until then is taken up: the inbox's clock, so that no cloud ends for want of poses that
+            only wait behind it.
+        newest_stamp_ns: of the clouds in the map.
+    """
+
+    def __init__(
+        self,
+        state: RunState,
+        view: View,
+        inbox: Inbox,
+        writer: LogWriter,
+        counters: Counters,
+        memory: Memory,
+        log_event: Callable[[Event], None],
+        publish_event: Callable[[bytes], None],
+    ) -> None:
+        self._state = state
+        self._view = view
+        self._inbox = inbox
+        self._writer = writer
+        self._counters = counters
+        self._memory = memory
+        self._log_event = log_event
+        self._publish_event = publish_event
+        self.arrived: dict[int, float] = {}
+        self.heard = time.monotonic()
+        self.newest_stamp_ns = state.map.newest_updated * NS
+
+    def advance(self) -> bool:
+        """Decide a cloud, if one can be; all that only has to be told comes before it: it must not pile up behind."""
+        while self._inbox.ended and self.decide():
+            pass
+        return self.decide()
+
+    def decide(self) -> bool:
+        """Decide at most one cloud; none while the log can't be written."""
+        if not self._writer.wait_room(0.0):
+            return False
+        decision = self._inbox.tick(self.heard)
+        if decision is None:
+            return False
+        proposal = _proposal(decision, self._state)
+        self._memory.relieve(self._view.reading)  # before the map is held: it may write to the disk
+        self._state.no_new_tiles = self._memory.full
+        with self._view.change():
+            begun = time.monotonic()
+            done = self._place(proposal)
+            took = time.monotonic() - begun
+            self._log_event(done)
+        assert isinstance(done, IntegrationEvent)  # noqa: S101 - what an integration becomes
+        arrival = self.arrived.pop(done.input, None)
+        if done.accepted:
+            self.newest_stamp_ns = max(self.newest_stamp_ns, decision.cloud.last_ns)
+        rejected = {str(reason): n for reason, n in done.rejected.items()}
+        self._counters.cloud(str(done.outcome), done.accepted, rejected, arrival, took)
+        self._publish_event(encode_event(done))
+        return True
+
+    def _place(self, proposal: IntegrationEvent) -> Event:
+        """Apply a decision. A cloud that there is no memory for ends as `overload`: the map is as it was before it, and
+        no replay, which may have the memory, places it either."""
+        cloud = self._state.clouds[proposal.input]
+        try:
+            return self._state.apply(proposal)
+        except MemoryError:
+            log.error("input %d: no memory to place its cloud", proposal.input)
+            self._state.take_cloud(proposal.input, cloud)
+            return self._state.apply(proposal.model_copy(update={"outcome": CloudReason.OVERLOAD}))
+
+
+def _proposal(decision: Decision, state: RunState) -> IntegrationEvent:
+    cloud = decision.cloud
+    return IntegrationEvent(
+        epoch=state.epoch,
+        input=cloud.input,
+        robot=cloud.robot,
+        poses=[(pose.input, pose.transform) for pose in decision.poses],
+        outcome=decision.outcome,
+        accepted=0,
+        rejected={},
+        sequence=state.map.sequence,
+    )
