@@ -36,7 +36,7 @@ check: $(READY)  ## style, types, the direction of imports, the exported schemas
 	$(BIN)/lint-imports
 	$(BIN)/python -m roughmap_schemas.export --check
 
-audit: $(READY)  ## unsafe habits (bandit), the lock's hashes, known faults of locked packages where their service is reached
+audit: $(READY)  ## unsafe habits (bandit), the lock's hashes, known faults of locked packages (it says so where none could be asked)
 	$(BIN)/python -m pytest -q tests/security/test_audit.py
 	$(BIN)/python .ci/audit
 

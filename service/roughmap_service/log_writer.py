@@ -252,6 +252,7 @@ class LogWriter:
         self._answered(begun)
         self._length = self._file.sync()
         self._last_flush = self._last_sync = time.monotonic()
+        self._answered(self._last_sync)
         self._on_sync(self._last_sync - begun)
         self._synced = self._mark
         done, self._unsynced = self._unsynced, []

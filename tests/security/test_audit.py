@@ -1,6 +1,7 @@
 """What a build may bring in: each package pinned, each file by its hash, from no index of the lock's own; no known
 unsafe habit in our code."""
 
+import os
 import re
 import subprocess
 import sys
@@ -51,3 +52,13 @@ def test_bandit_finds_nothing() -> None:
     ]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=4 * WAIT_S, check=False)
     assert done.returncode == 0, done.stdout
+
+
+def test_an_audit_that_reaches_nobody_says_so_last(tmp_path: Path) -> None:
+    nowhere = dict.fromkeys(("HTTPS_PROXY", "https_proxy"), "http://127.0.0.1:9") | {"PIP_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, ".ci/audit"], cwd=ROOT, capture_output=True, text=True, timeout=4 * WAIT_S, check=False,
+        env={**os.environ, **nowhere},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert re.match("NOTHING AUDITED: .*pypi can't be reached .*osv can't be reached", done.stdout.splitlines()[-1])
