@@ -1,6 +1,7 @@
 """Why something was not taken: every reason and code that can appear on the wire, in the log or in a count."""
 
 from enum import StrEnum
+from typing import Final
 
 
 class PointReason(StrEnum):
@@ -80,3 +81,47 @@ INTEGRATED = "integrated"
 
 Reason = PointReason | CloudReason | PoseReason | Refusal
 """Every reason under which a message, a pose, a cloud or a point can be counted."""
+
+MEANING: Final[dict[type[Reason], dict[str, str]]] = {
+    PointReason: {
+        "not_finite": "NaN or infinite",
+        "no_return": "nothing came back, as from the sky",
+        "time": "its own time is not within a second after its scan's",
+        "no_pose": "no poses around its own time",
+        "self": "on the robot itself (sensors.*.exclude)",
+        "range": "nearer than min_range, or beyond max_range",
+        "ceiling": "higher above the scanner than ceiling",
+        "covariance": "its covariance is none",
+        "uncertain": "could lie beyond max_horizontal_radius",
+        "bounds": "outside map.bounds",
+    },
+    CloudReason: {
+        "pose_gap": "poses around it farther apart than max_pose_gap",
+        "pose_jump": "poses around it imply more than max_speed, max_turn",
+        "no_pose": "poses around it did not come within max_wait",
+        "late": "older than the poses that are kept (pose_history)",
+        "too_many_tiles": "more new tiles than max_new_tiles, max_tiles",
+        "empty": "no point of it was accepted",
+        "overload": "dropped: more comes in than can be integrated",
+        "clock_reset": "its robot's clock was set back",
+    },
+    PoseReason: {
+        "duplicate": "a second pose of one stamp",
+        "stale": "older than the poses that are kept (pose_history)",
+        "pose_frame": "no transform leads from its frame to the map's",
+        "bad_covariance": "its covariance is none",
+    },
+    Refusal: {
+        "bad_key": "a key that no robot has",
+        "bad_encoding": "another encoding than its key's",
+        "bad_message": "can't be read",
+        "too_large": "more than max_message bytes, or max_points",
+        "unknown_sensor": "its frame has no [sensors] table",
+        "unknown_robot": "not among input.robots, or one too many",
+        "busy": "the queue was full",
+        "log_unavailable": "the log can't be written",
+        "shutting_down": "the service was ending",
+        "duplicate": "sent again; the log has it",
+    },
+}
+"""What each reason says, in a few words for a table; the contract's own words stand in the classes above."""

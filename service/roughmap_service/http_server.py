@@ -22,11 +22,15 @@ CLOSE_SECONDS = 1.5
 """How long requests that run get at the end, and uvicorn to notice it."""
 
 
+class PortTaken(Exception):
+    """The address can't be listened on now; one line that names it and the mend. A later start may find it free."""
+
+
 class HttpServer:
     """Serves the pages while it is entered; ``url`` has the real port.
 
-    The socket is open from the start, so what is asked meanwhile waits for the event loop. HttpError where the port is
-    taken, or where whoever is on the network could look in: neither loopback nor a token, unless ``insecure``.
+    The socket is open from the start, so what is asked meanwhile waits for the event loop. PortTaken where it can't be
+    opened; HttpError where whoever is on the network could look in: neither loopback nor a token, unless ``insecure``.
     """
 
     def __init__(self, http: HttpConfig, sources: Sources, *, insecure: bool = False) -> None:
@@ -50,7 +54,7 @@ class HttpServer:
             self._socket = socket.create_server((host, int(port)), family=family, backlog=64)
         except OSError as error:
             why = str(error.strerror or error).partition(" (")[0]
-            raise HttpError(
+            raise PortTaken(
                 f'http.listen: {http.listen}: {why}; set http.listen to another address, or to "" for none'
             ) from None
         name = f"[{host}]" if ":" in host else host

@@ -46,7 +46,7 @@ def test_help_opens_with_a_line_that_can_be_run(path: list[str], tmp_path: Path)
     assert words[: 1 + len(path)] == ["roughmap", *path]
     # The line's files need not be there, but its options and values must be good ones.
     for word in words[1 + len(path) :]:
-        if word.endswith((".npz", ".toml")):
+        if word.endswith((".npz", ".xyz", ".toml")):
             (tmp_path / word).touch()
         if word.endswith("/"):
             (tmp_path / word).mkdir()

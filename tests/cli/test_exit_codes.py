@@ -17,8 +17,10 @@ CODES = {
     "CloudFileFault": 2,
     "RunError": 1,
     "TransportError": 1,
+    "HttpError": 2,
+    "PortTaken": 1,
 }
-MODULES = ("log_reader", "store", "recovery", "replay", "clouds_in", "apply", "transport")
+MODULES = ("log_reader", "store", "recovery", "replay", "clouds_in", "apply", "transport", "http_token", "http_server")
 
 
 @pytest.mark.parametrize(("module", "name", "_code"), main._LATE)

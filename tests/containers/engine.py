@@ -42,7 +42,7 @@ class Engine:
                 print(f"--- the last lines of {name}:\n{self._try('logs', '--tail=15', name)}")
         for name in self._containers:
             self._try("unpause", name)
-            self._try("rm", "-f", name)
+            self._try("rm", "-f", "-v", name)
         for name in self._volumes:
             self._try("volume", "rm", "-f", name)
         self._try("network", "rm", self.network)

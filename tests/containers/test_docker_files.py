@@ -1,13 +1,16 @@
 """What the image is made and started by fits together, as far as that can be seen without an engine."""
 
+import json
 import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+import zenoh
 
 from roughmap_schemas.config_load import load_config
+from roughmap_service.transport import endpoints
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCKER = ROOT / "docker"
@@ -41,6 +44,45 @@ def test_compose_starts_the_service_with_settings_that_it_takes(name: str) -> No
             assert not source.startswith("./") or source.startswith("./certificates") or (DOCKER / source).exists()
     loaded = load_config(DOCKER / "roughmap.toml", {}, settings_of(services[name]))
     assert loaded.config.http.listen == "0.0.0.0:8080"
+
+
+PROFILES = {
+    "demo": {"router", "map", "rover"},
+    "router": {"router", "map"},
+    "own-router-demo": {"own-router", "map", "rover"},
+    "own-router": {"own-router", "map"},
+    "secure-demo": {"secure-map", "secure-rover"},
+    "secure": {"secure-map"},
+}
+
+
+def test_a_profile_of_compose_is_one_whole_thing() -> None:
+    """One map each, one way in, and no port of the machine twice; nothing starts without a profile."""
+    services = yaml.safe_load((DOCKER / "compose.yaml").read_text())["services"]
+    assert {profile for service in services.values() for profile in service["profiles"]} == set(PROFILES)
+    for profile, wanted in PROFILES.items():
+        chosen = {name: service for name, service in services.items() if profile in service["profiles"]}
+        assert set(chosen) == wanted
+        ports = [port.split(":")[-2] for service in chosen.values() for port in service.get("ports", ())]
+        assert sorted(ports) == ["7447", "8080"]
+
+
+def test_the_authoritys_key_goes_into_no_container() -> None:
+    services = yaml.safe_load((DOCKER / "compose.yaml").read_text())["services"]
+    mounted = [volume.split(":")[0] for service in services.values() for volume in service.get("volumes", ())]
+    assert "./certificates/authority.pem" in mounted
+    assert not {"./certificates", "./certificates/", "./certificates/authority.key", "."} & set(mounted)
+
+
+def test_the_routers_of_compose_can_be_opened_as_written() -> None:
+    """By Zenoh itself, in this process, the one port aside: what zenohd -c does with the file."""
+    config = zenoh.Config.from_file(str(DOCKER / "router.json5"))
+    assert json.loads(config.get_json("listen/endpoints")) == ["tcp/0.0.0.0:7447"]
+    config.insert_json5("listen/endpoints", '["tcp/127.0.0.1:0"]')
+    config.insert_json5("adminspace/enabled", "true")
+    with zenoh.open(config) as router:
+        assert json.loads(config.get_json("mode")) == "router"
+        assert endpoints(router)[0].startswith("tcp/127.0.0.1:")
 
 
 def test_kubernetes_starts_it_with_settings_that_it_takes(tmp_path: Path) -> None:

@@ -98,11 +98,40 @@ def test_the_files_are_whole() -> None:
     for rule in rules():
         assert rule["labels"]["severity"] in {"critical", "warning", "info"}
         assert rule["annotations"].keys() == {"summary", "description"}
-    drawn = panels()
-    assert len({panel["id"] for panel in drawn}) == len(drawn)
-    places = {(panel["gridPos"]["x"], panel["gridPos"]["y"]) for panel in drawn}
-    assert len(places) == len(drawn), "panels lie over one another"
-    assert all(panel["gridPos"]["x"] + panel["gridPos"]["w"] <= 24 for panel in drawn)
+
+
+def test_the_dashboard_can_be_imported() -> None:
+    """As Grafana takes it by its import dialog or a provisioning file: it asks for a Prometheus, and nothing else."""
+    board = json.loads(DASHBOARD.read_text())
+    assert board["title"]
+    assert re.fullmatch(r"[a-zA-Z0-9_-]{1,40}", board["uid"])
+    assert not board.keys() & {"id", "__inputs", "__requires"}, "of the Grafana that it was exported from"
+    assert 36 <= board["schemaVersion"] <= 41, "data sources named by type and uid; panels of Grafana 9 and newer"
+    variables = board["templating"]["list"]
+    assert (variables[0]["name"], variables[0]["type"], variables[0]["query"]) == (
+        "datasource",
+        "datasource",
+        "prometheus",
+    )
+    wanted = {"type": "prometheus", "uid": "${datasource}"}
+    assert all(variable["datasource"] == wanted for variable in variables[1:])
+    declared, text = {variable["name"] for variable in variables}, DASHBOARD.read_text()
+    assert set(re.findall(r"\$\{?([a-z]\w*)", text)) == declared, "variables that are used, and those that there are"
+
+    everything = board["panels"]
+    assert len({panel["id"] for panel in everything}) == len(everything)
+    cells: set[tuple[int, int]] = set()
+    for panel in everything:
+        place = panel["gridPos"]
+        assert place["x"] + place["w"] <= 24
+        taken = {(place["x"] + i, place["y"] + j) for i in range(place["w"]) for j in range(place["h"])}
+        assert not cells & taken, f"{panel['title']} lies over another"
+        cells |= taken
+    for panel in panels():
+        assert panel["title"]
+        assert panel["datasource"] == wanted
+        assert all(target["datasource"] == wanted and target["expr"] for target in panel["targets"])
+        assert len({target["refId"] for target in panel["targets"]}) == len(panel["targets"])
 
 
 def test_promtool_finds_no_fault() -> None:

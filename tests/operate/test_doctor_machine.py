@@ -14,7 +14,9 @@ from roughmap_schemas.config_load import load_config
 from roughmap_schemas.sections import HttpConfig
 from roughmap_service.cli import doctor_machine
 from roughmap_service.cli.doctor_certificates import certificates, validity
+from roughmap_service.cli.doctor_findings import Finding
 from roughmap_service.cli.doctor_security import http_access, zenoh_access
+from roughmap_service.readiness import Readiness, Sources
 
 NOW = datetime(2030, 6, 1, tzinfo=UTC)
 DAY = timedelta(days=1)
@@ -56,13 +58,19 @@ def test_a_clock_that_cannot_be(monkeypatch: pytest.MonkeyPatch, year: int, verd
 
 
 def test_a_port_that_is_taken() -> None:
-    assert doctor_machine.http_port(None, running=False).verdict == "ok"
-    assert doctor_machine.http_port("127.0.0.1:0", running=False).verdict == "ok"
-    with pages() as server:
+    def looked(listen: str, name: str = "site", *, running: bool = False) -> Finding:
+        config = Config.model_validate({"map": {"name": name}, "http": {"listen": listen}})
+        return doctor_machine.http_port(config, running=running)
+
+    assert looked("").verdict == "ok"
+    assert looked("127.0.0.1:0").verdict == "ok"
+    with pages(Sources(Readiness(), "other")) as server:
         listen = "{}:{}".format(*address(server))
-        found = doctor_machine.http_port(listen, running=False)
+        found = looked(listen)
         assert (found.verdict, "Address already in use" in found.text) == ("wrong", True)
-        assert doctor_machine.http_port(listen, running=True).verdict == "ok"
+        assert looked(listen, running=True).verdict == "note", "another map's pages"
+        assert looked(listen, "other", running=True).verdict == "ok"
+    assert looked("127.0.0.1:0", running=True).verdict == "ok"
 
 
 @pytest.mark.parametrize("years", [1, 40, 400], ids=["UTCTime", "GeneralizedTime", "far"])

@@ -9,7 +9,7 @@ import pytest
 from operate_pages import address, get, pages
 
 from roughmap_schemas.sections import HttpConfig
-from roughmap_service.http_server import HttpError, HttpServer
+from roughmap_service.http_server import HttpError, HttpServer, PortTaken
 from roughmap_service.readiness import Problem, Readiness, Sources
 
 TOKEN = "a token of twenty-four"
@@ -131,7 +131,7 @@ def test_the_network_sees_nothing_without_a_token(tmp_path: Path) -> None:
 
 
 def test_a_port_that_is_taken_is_one_line() -> None:
-    with pages() as server, pytest.raises(HttpError, match=r"Address already in use; set http.listen to another"):
+    with pages() as server, pytest.raises(PortTaken, match=r"Address already in use; set http.listen to another"):
         HttpServer(HttpConfig(listen=f"127.0.0.1:{address(server)[1]}"), Sources(Readiness()))
 
 

@@ -29,6 +29,7 @@ from roughmap_schemas import (
     model_bytes,
     parse_model,
 )
+from roughmap_schemas.reasons import MEANING
 
 
 @pytest.mark.parametrize("name", SAMPLES)
@@ -119,6 +120,8 @@ def test_the_reasons_of_the_contract() -> None:
     refusals = {"bad_key", "bad_encoding", "bad_message", "too_large", "unknown_sensor", "unknown_robot", "busy"}
     # `duplicate` counts published messages that the log has already; it is never answered.
     assert set(Refusal) == refusals | {"log_unavailable", "shutting_down", "duplicate"}
+    for kind in (PointReason, CloudReason, PoseReason, Refusal):
+        assert set(MEANING[kind]) == set(kind), "each is explained"
 
 
 @pytest.mark.parametrize("event", EVENTS, ids=lambda event: event.kind)

@@ -41,9 +41,10 @@ def build(
     settings: tuple[tuple[str, object], ...],
     as_json: bool,
 ) -> None:
-    """roughmap build scans.npz -o map.db --range-sigma 0.02
+    """roughmap build points.xyz -o map.db
 
     Make a map from files, in the order given, and store it for `roughmap serve` (with `store.path`) to go on from.
+    A file to try it with: `printf '%s\\n' '0 0 1.0' '0.1 0 1.1' '0.2 0 1.3' > points.xyz`.
 
     .npz holds `points` (N, 3), whole numbers being millimetres: either scans in the sensor's frame with
     `scan_start` (K + 1), `pose` (K, 4, 4, sensor in map) and `stamp_s` or `stamp_ns` (K); or points in the map frame,

@@ -2,19 +2,24 @@
 
 import json
 import re
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
 import zenoh
 
-from roughmap_client.access import endpoints_of, read_zenoh_file, told
+from roughmap_client.access import endpoints_of, read_zenoh_file, setting, told
 from roughmap_schemas.config import without_secrets
 from roughmap_schemas.config_load import LoadedConfig
 from roughmap_service.cli.options import Failure, reachable
+from roughmap_service.exposure import is_encrypted
 from roughmap_service.transport import zenoh_config
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where `serve` listens unless told otherwise, so that the commands find it without an option."""
+
+TRY_S = 2.0
+"""How long one try to connect may take: a signal is heeded between two."""
 
 
 def client_config(loaded: LoadedConfig, connect: Sequence[str], file: Path | None = None) -> zenoh.Config:
@@ -40,11 +45,35 @@ def client_config(loaded: LoadedConfig, connect: Sequence[str], file: Path | Non
 
 def open_client(config: zenoh.Config, timeout: float) -> zenoh.Session:
     """The session. Failure, in one line, if the service isn't there within ``timeout`` seconds."""
-    config.insert_json5("connect/timeout_ms", str(int(timeout * 1000)))
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        where = ", ".join(map(without_secrets, endpoints_of(config, "connect")))
-        raise Failure(
-            f"nobody answers on {where} ({told(error, config)}); is `roughmap serve` up there? (--connect, --zenoh)"
-        ) from None
+    until = time.monotonic() + timeout
+    while True:
+        left = max(until - time.monotonic(), 0.1)
+        config.insert_json5("connect/timeout_ms", str(int(min(left, TRY_S) * 1000)))
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            if left > TRY_S:
+                continue
+            where = ", ".join(map(without_secrets, endpoints_of(config, "connect")))
+            raise Failure(
+                f"nobody answers on {where} ({told(error, config)}); is `roughmap serve` up there? (--connect, --zenoh)"
+                + if_guarded(config)
+            ) from None
+
+
+def if_guarded(config: zenoh.Config) -> str:
+    """What else may be behind silence where access is guarded, to put after a question; nothing where it is not."""
+    user = setting(config, "transport/auth/usrpwd/user")
+    certificate = setting(config, "transport/link/tls/connect_certificate")
+    if certificate or user:
+        shown = certificate or f"the user {user!r}"
+        return f" Or does it not let {shown} in, or not do this? Denials are silent (SECURITY.md)"
+    if wants_certificate(config):
+        return " Or does it want a certificate? None is set to connect with: --zenoh docker/access/planner.json5"
+    return ""
+
+
+def wants_certificate(config: zenoh.Config) -> bool:
+    """It connects by TLS and has nothing to show: so do the settings of a router, which has a certificate to listen."""
+    shown = any(setting(config, f"transport/{path}") for path in ("link/tls/connect_certificate", "auth/usrpwd/user"))
+    return not shown and any(map(is_encrypted, endpoints_of(config, "connect")))

@@ -53,7 +53,7 @@ def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, 
     findings += [found] if (found := doctor_security.http_access(config.http)) else []
     with ExitStack() as stack:
         session, running, told = _session(loaded, stack)
-        findings += [doctor_machine.http_port(config.http.listen, running=running), *told]
+        findings += [doctor_machine.http_port(config, running=running), *told]
         if session is not None and seconds > 0:
             click.echo(f"listening for {seconds:g} s ...", err=True)
             findings += _traffic(session, loaded, seconds)
@@ -70,13 +70,15 @@ def _session(loaded: "LoadedConfig", stack: ExitStack) -> tuple["zenoh.Session |
     from roughmap_client import RoughMapClient
     from roughmap_client.errors import RoughMapError
     from roughmap_schemas.faults import ConfigFault
-    from roughmap_service.cli.connection import client_config, open_client
+    from roughmap_service.cli.connection import client_config, open_client, wants_certificate
     from roughmap_service.cli.health import served_map
     from roughmap_service.transport import TransportError, open_session, zenoh_config
 
-    config = loaded.config
+    config, bare = loaded.config, False
     try:
-        session = stack.enter_context(open_client(client_config(loaded, ()), REACH_S))
+        asking = client_config(loaded, ())
+        bare = wants_certificate(asking)
+        session = stack.enter_context(open_client(asking, REACH_S))
         client = RoughMapClient(config.map.name, session=session, timeout=STATUS_S, keys=config.keys)
         status = client.status()
         told = f"the service is up for {status.uptime_s:.0f} s, health {status.health}; doctor listens beside it"
@@ -87,6 +89,9 @@ def _session(loaded: "LoadedConfig", stack: ExitStack) -> tuple["zenoh.Session |
         if config.http.listen is not None and served_map(config) == config.map.name:
             told = f"the service is up, as http.listen says, but does not answer over Zenoh: {error}"
             mend = "`roughmap health` says whether it still starts; if not, does it listen on this zenoh.listen?"
+            if bare:
+                told = "the service is up; doctor has no certificate to join it and to hear the robots"
+                mend = "`roughmap top --zenoh FILE` with a planner's certificate shows what comes in (SECURITY.md)"
             return None, True, [Finding("zenoh", "note", told, mend)]
     try:
         session = stack.enter_context(open_session(zenoh_config(loaded)))

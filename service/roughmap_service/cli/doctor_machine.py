@@ -12,6 +12,7 @@ from pathlib import Path
 
 from roughmap_schemas.config import Config
 from roughmap_service.cli.doctor_findings import Finding
+from roughmap_service.cli.health import served_map
 
 EARLIEST, LATEST = (datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (2025, 2100))
 """No clock that is set shows less, or more."""
@@ -87,14 +88,18 @@ def clock() -> Finding:
     return Finding("clock", "ok", f"the clock shows {shown}")
 
 
-def http_port(listen: str | None, *, running: bool) -> Finding:
+def http_port(config: Config, *, running: bool) -> Finding:
     """The pages' port is free, or the running service's."""
+    listen = config.http.listen
     if listen is None:
         return Finding("http", "ok", 'http.listen is "": no pages, no metrics')
+    if served_map(config) == config.map.name:
+        return Finding("http", "ok", f"http.listen: {listen}, where the running service answers")
     host, _, port = listen.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
-    if running:
-        return Finding("http", "ok", f"http.listen: {listen}, where the running service answers if it has this setting")
+    if running and port != "0":
+        told = f"http.listen: {listen}, where the running service does not answer"
+        return Finding("http", "note", told, "was it started with another http.listen, or another token?")
     try:
         with socket.create_server((host, int(port)), family=socket.AF_INET6 if ":" in host else socket.AF_INET):
             pass

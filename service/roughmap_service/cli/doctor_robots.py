@@ -77,7 +77,8 @@ def _clouds(robot: str, heard: Heard, config: Config) -> list[Finding]:
         findings.append(_of(robot, "note", told, mend))
     if stream.unnumbered == stream.number:
         told = "clouds carry no message_seq (8 bytes of attachment): what is lost on the way can't be counted"
-        findings.append(_of(robot, "note", told))
+        mend = "attach a number to each that rises by one, 8 bytes, little-endian; or do without"
+        findings.append(_of(robot, "note", told, mend))
     return findings
 
 

@@ -94,15 +94,16 @@ def _ask_status(loaded: LoadedConfig) -> dict[str, str]:
     """The problems that the status over Zenoh tells."""
     from roughmap_client import RoughMapClient
     from roughmap_client.errors import RoughMapError
-    from roughmap_service.cli.connection import client_config, open_client
+    from roughmap_service.cli.connection import client_config, if_guarded, open_client
 
-    config = loaded.config
-    with open_client(client_config(loaded, ()), TIMEOUT_S) as session:
+    config, zenoh_config = loaded.config, client_config(loaded, ())
+    with open_client(zenoh_config, TIMEOUT_S) as session:
         try:
             client = RoughMapClient(config.map.name, session=session, timeout=TIMEOUT_S, keys=config.keys)
             status = client.status()
         except RoughMapError as error:
-            raise Failure(f"{error}; is the map {config.map.name!r} served there?") from None
+            told = f"is the map {config.map.name!r} served there?{if_guarded(zenoh_config)}"
+            raise Failure(f"{error}; {told}") from None
     if status.health == "ok":
         return {}
     if status.health == "overloaded":

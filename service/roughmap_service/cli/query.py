@@ -66,7 +66,7 @@ def query(
     from roughmap_client import NoAnswer, QueryRefused, RoughMapClient
     from roughmap_client.errors import BadArgument
     from roughmap_schemas.layers import LAYERS
-    from roughmap_service.cli.connection import client_config
+    from roughmap_service.cli.connection import client_config, if_guarded
 
     names = [name.strip() for name in layers.split(",")]
     for name in names:
@@ -84,7 +84,8 @@ def query(
             region = client.region(bbox, names, level=level, tolerance=tolerance)
             answered = time.perf_counter()
     except NoAnswer as error:
-        raise Failure(f"{error}; is `roughmap serve` up there, with the map {name!r}? (--connect, --map)") from error
+        asked_for = f"is `roughmap serve` up there, with the map {name!r}? (--connect, --map)"
+        raise Failure(f"{error}; {asked_for}{if_guarded(session)}") from error
     except BadArgument as error:
         raise BadUse(str(error)) from error
     except QueryRefused as error:

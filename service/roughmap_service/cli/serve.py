@@ -32,6 +32,7 @@ def serve(
     Keep one map: take scans and poses from Zenoh, log them, answer planners' queries. Prints one JSON line on stdout
     when it is ready; everything else goes to stderr. SIGTERM or Ctrl-C ends it in order, a second one at once.
     """
+    from roughmap_schemas.config import without_secrets
     from roughmap_service.logs import note, set_up
 
     os.umask(os.umask(0o027) | 0o027)  # log and store may be read by the group, and by nobody else
@@ -63,8 +64,9 @@ def serve(
 
     def announce(ready: dict[str, Any]) -> None:
         print(json.dumps(ready), flush=True)  # noqa: T201 - the one line that stdout is for
-        where = ", ".join(ready["endpoints"]) or "nowhere"
-        text = f"ready after {time.monotonic() - begun:.2f} s; listens on {where}; http: {ready['http'] or 'none'}"
+        joined = ", ".join(map(without_secrets, loaded.config.zenoh.connect)) or "nobody"
+        where = f"listens on {', '.join(ready['endpoints'])}" if ready["endpoints"] else f"joins {joined}"
+        text = f"ready after {time.monotonic() - begun:.2f} s; {where}; http: {ready['http'] or 'none'}"
         note(log, logging.INFO, "ready", text, endpoints=ready["endpoints"], http=ready["http"])
 
     def progress(done: int, files: int) -> None:

@@ -78,18 +78,17 @@ def simulate(
     """
     from roughmap_client.access import endpoints_of
     from roughmap_schemas.config import without_secrets
-    from roughmap_service.cli.connection import client_config, open_client
+    from roughmap_service.cli.connection import client_config, if_guarded, open_client
     from roughmap_service.rover import rovers
     from roughmap_service.rover_play import recorded_messages
     from roughmap_service.rover_publish import NobodyListens, RoverPublisher, merged
     from roughmap_service.rover_scanner import Scanner
 
     if recording is not None:
-        messages = recorded_messages(recording, robot, sensor_frame)
+        messages, fleet = recorded_messages(recording, robot, sensor_frame), []
         names = [robot]
     else:
-        start = time.time_ns() if start_ns is None else start_ns
-        fleet = rovers(robots, seed, start, Scanner(rings=rings, columns=columns))
+        fleet = rovers(robots, seed, start_ns or 0, Scanner(rings=rings, columns=columns))
         messages = merged([rover.messages(duration) for rover in fleet])
         names = [rover.name for rover in fleet]
     config = client_config(load(config_path, settings), connect, zenoh_file)
@@ -101,8 +100,10 @@ def simulate(
         try:
             publisher.wait_for_listeners(wait)
         except NobodyListens as error:
-            raise Failure(f"{error}; is `roughmap serve` up at {where}?") from error
-        begun = time.monotonic()
+            raise Failure(f"{error}; is `roughmap serve` up at {where}?{if_guarded(config)}") from error
+        begun, now = time.monotonic(), time.time_ns()
+        for rover in fleet:  # messages are made as they are wanted, so none has a stamp yet
+            rover.start_ns = now if start_ns is None else start_ns
         published = _play(publisher, messages, rate, None if recording else duration)
     _report(published, time.monotonic() - begun, as_json)
 

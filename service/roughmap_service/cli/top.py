@@ -43,14 +43,15 @@ def top(
     """
     from roughmap_client import NoAnswer, RoughMapClient
     from roughmap_schemas.keys import Keys
-    from roughmap_service.cli.connection import client_config, open_client
+    from roughmap_service.cli.connection import client_config, if_guarded, open_client
     from roughmap_service.cli.top_frame import Robots
 
     loaded = load(config_path, settings)
     config = loaded.config
     name = map_name or config.map.name
     robots = Robots()
-    with open_client(client_config(loaded, connect, zenoh_file), timeout) as session:
+    zenoh_config = client_config(loaded, connect, zenoh_file)
+    with open_client(zenoh_config, timeout) as session:
         session.declare_subscriber(
             Keys(name, config.keys).events, lambda sample: robots.take(sample.payload.to_bytes())
         )
@@ -60,7 +61,8 @@ def top(
             with contextlib.suppress(KeyboardInterrupt):  # the way out
                 _watch(client, robots, once=once, as_json=as_json)
         except NoAnswer as error:
-            raise Failure(f"{error}; is the map {name!r} served there? (--connect, --map)") from error
+            told = f"is the map {name!r} served there? (--connect, --map){if_guarded(zenoh_config)}"
+            raise Failure(f"{error}; {told}") from error
 
 
 def _watch(client: "RoughMapClient", robots: "Robots", *, once: bool, as_json: bool) -> None:

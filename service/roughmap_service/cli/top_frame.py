@@ -5,6 +5,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -13,6 +14,7 @@ from rich.text import Text
 from roughmap_schemas import IntegrationEvent, decode_event
 from roughmap_schemas.faults import ContractError
 from roughmap_schemas.messages import MapStatus
+from roughmap_schemas.reasons import MEANING, CloudReason, PointReason, PoseReason, Reason, Refusal
 
 WINDOW_S = 10.0
 """Seconds over which a robot's rates are told, as the status tells the map's."""
@@ -106,10 +108,13 @@ def _head(status: MapStatus, silent_s: float) -> Text:
     return head
 
 
-def _table(*columns: str) -> Table:
+def _table(*columns: str, left: tuple[str, ...] = ()) -> Table:
+    """A name and numbers, and texts to their right."""
     table = Table(box=None, pad_edge=False)
     for number, column in enumerate(columns):
         table.add_column(column, justify="right" if number else "left", header_style="dim")
+    for column in left:
+        table.add_column(column, header_style="dim")
     return table
 
 
@@ -138,25 +143,25 @@ def _resources(status: MapStatus) -> Table:
     if status.extent is not None:
         xmin, ymin, xmax, ymax = status.extent
         extent = f", {xmax - xmin:,.0f} x {ymax - ymin:,.0f} m"
-    table.add_row("tiles", f"{tiles.resident:,} in memory, {tiles.spilled:,} spilled{extent}")
+    table.add_row("tiles", f"{tiles.resident:,} in memory, {tiles.spilled:,} on disk{extent}")
     fault = "" if log.ok else ", CAN'T BE WRITTEN"
     table.add_row("log", Text(f"{log.file or 'none'}, {_bytes(log.bytes)}{fault}", "" if log.ok else "bold red"))
     return table
 
 
 def _rejected(status: MapStatus) -> Table | None:
-    kinds: dict[str, Mapping[str, int]] = {
-        "cloud": {str(k): n for k, n in status.clouds.rejected.items()},
-        "point": {str(k): n for k, n in status.points.rejected.items()},
-        "pose": {str(k): n for k, n in status.poses.rejected.items()},
-        "refused": {str(k): n for k, n in status.refused.items()},
-    }
-    rows = [(kind, reason, n) for kind, counts in kinds.items() for reason, n in counts.items() if n]
+    kinds: tuple[tuple[str, type[Reason], Mapping[Any, int]], ...] = (
+        ("cloud", CloudReason, status.clouds.rejected),
+        ("point", PointReason, status.points.rejected),
+        ("pose", PoseReason, status.poses.rejected),
+        ("refused", Refusal, status.refused),
+    )
+    rows = [(kind, of, str(reason), n) for kind, of, counts in kinds for reason, n in counts.items() if n]
     if not rows:
         return None
-    table = _table("rejected", "reason", "number")
-    for kind, reason, n in rows:
-        table.add_row(kind, reason, f"{n:,}")
+    table = _table("rejected", "number", left=("reason", "that is"))
+    for kind, of, reason, n in rows:
+        table.add_row(kind, f"{n:,}", reason, MEANING[of].get(reason, ""))
     return table
 
 
