@@ -137,7 +137,14 @@ def test_make_targets_named_are_targets(page: str) -> None:
 def test_linked_files_are_there(page: str) -> None:
     text = (ROOT / page).read_text(encoding="utf-8")
     links = [link for link in re.findall(r"\]\(([^)]+)\)", text) if not link.startswith("https://")]
-    assert all((ROOT / link).is_file() for link in links), links
+    for link in links:
+        name, _, anchor = link.partition("#")
+        target = ROOT / (name or page)
+        assert target.is_file(), link
+        titles = re.findall(r"^#+ (.*)$", target.read_text(encoding="utf-8"), re.MULTILINE) if anchor else ()
+        assert not anchor or anchor in {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}, (
+            link
+        )
     plain = re.findall(r"http://[^)\s]*", text)
     assert all(link.startswith("http://127.0.0.1:") for link in plain), "in the clear on this machine only"
 

@@ -194,13 +194,17 @@ def backed_up(engine: Engine, covered: Covered) -> None:
     """OPERATIONS.md's backup, while the rover drives; restored, it is a map of its own that goes on."""
     service = f"{engine.network.removesuffix('-net')}-map"
     until("a snapshot is stored", lambda: lines(engine, service, "snapshot"))
-    copy = "import sqlite3 as s; s.connect('/data/map.db').backup(s.connect('/backup/map.db'))"
+    copy = (
+        'umask 027 && python -c \'import sqlite3 as s; s.connect("/data/map.db").backup(s.connect("/backup/map.db"))\''
+        " && cp -r /data/log /backup/"
+    )
     data, volume = f"{service.removesuffix('-map')}-data", engine.volume("backup")
     with TemporaryDirectory(prefix="roughmap-") as folder:
         os.chown(folder, 10001, 10001)
         mounts = ("-v", f"{data}:/data", "-v", f"{folder}:/backup")
-        engine.once("-c", copy, options=(*mounts, *PYTHON))
-        engine.once("-r", "/data/log", "/backup/", options=(*mounts, "--entrypoint", "cp"))
+        engine.once("-c", copy, options=(*mounts, "--entrypoint", "sh"))
+        open_ = [path for path in Path(folder).rglob("*") if path.is_file() and path.stat().st_mode & 0o007]
+        expect(not open_, f"everybody may read of the backup: {open_}")
         mounts = ("-v", f"{volume}:/data", "-v", f"{folder}:/backup:ro")
         engine.once("-r", "/backup/map.db", "/backup/log", "/data/", options=(*mounts, "--entrypoint", "cp"))
     options = (*SERVICE, "-v", f"{volume}:/data", "--network=none", "-e", "ROUGHMAP_ZENOH__CONNECT=")
