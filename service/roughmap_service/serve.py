@@ -36,7 +36,7 @@ from .locks import locked
 from .log_file import Kind, LogRecord
 from .log_writer import LogWriter
 from .logs import note
-from .memory import Memory
+from .memory import Memory, keep_freed
 from .readiness import Readiness, Sources
 from .recovery import Progress as RecoveryProgress
 from .recovery import Recovered, Stopped, begin_anew, put_away, recover
@@ -100,6 +100,7 @@ def serve(
         stack.callback(token.undeclare)  # last of all: whoever waits for it may then open the log
         if others and not stop.is_set():
             raise ServeError(f"map {config.map.name!r} is served already, by {', '.join(others)}; stop that one first")
+        keep_freed(config.map.memory_limit)
         warm_up(config, stop)  # before memory is measured, and before the first tile
         path = Path(config.map.spill_path) if config.map.spill_path else directory / SPILL_NAME
         memory = Memory(config.map.memory_limit, stack.enter_context(Spill(path, config.map.spill_limit)))

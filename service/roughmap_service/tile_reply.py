@@ -153,10 +153,11 @@ def region_reply(drawing: Drawing, cells: CellBox, compression: Compression) -> 
         blank = [0.0 if name in ZERO_WHERE_UNKNOWN else np.nan for name in wanted.layers]
         packed.reshape(j1 - j0, -1)[:] = np.tile(np.array(blank, packed.dtype), i1 - i0)  # ten times packed[:] = blank
     known_cells, stamps = 0, []
+    along_x = {x: overlap(x, i0, i1) for x in range(x0, x1 + 1)}
+    along_y = {y: overlap(y, j0, j1) for y in range(y0, y1 + 1)}
     for (x, y), sequence in zip(tiles, sequences, strict=True):
         drawn = drawing.tile(x, y, sequence)
-        across, columns = overlap(x, i0, i1)
-        up, rows = overlap(y, j0, j1)
+        (across, columns), (up, rows) = along_x[x], along_y[y]
         values = packed_data(drawn.payload, (TILE_CELLS, TILE_CELLS, len(wanted.layers)), wanted.dtype)
         packed[up, across] = values[rows, columns]
         known_cells += drawn.known_among(rows, columns)
