@@ -89,6 +89,7 @@ def simulate(
         names = [robot]
     else:
         fleet = rovers(robots, seed, start_ns or 0, Scanner(rings=rings, columns=columns))
+        next(fleet[0].messages(1.0))  # the first sweep takes a second: made now, it delays none that is due
         messages = merged([rover.messages(duration) for rover in fleet])
         names = [rover.name for rover in fleet]
     config = client_config(load(config_path, settings), connect, zenoh_file)
@@ -100,7 +101,7 @@ def simulate(
         try:
             publisher.wait_for_listeners(wait)
         except NobodyListens as error:
-            raise Failure(f"{error}; is `roughmap serve` up at {where}?{if_guarded(config)}") from error
+            raise Failure(f"{error}; is `roughmap serve` up, and ready, at {where}?{if_guarded(config)}") from error
         begun, now = time.monotonic(), time.time_ns()
         for rover in fleet:  # messages are made as they are wanted, so none has a stamp yet
             rover.start_ns = now if start_ns is None else start_ns

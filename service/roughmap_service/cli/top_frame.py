@@ -5,6 +5,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from rich.console import Group, RenderableType
@@ -101,7 +102,7 @@ def _head(status: MapStatus, silent_s: float) -> Text:
     head = Text.assemble(
         (status.map, "bold"), "  ", (status.health, STYLES[status.health]), f"  sequence {status.sequence:,}",
         f" ({status.durable_sequence:,} on the disk)  epoch {status.epoch}  up {_duration(status.uptime_s)}",
-        f"  roughmap {status.version}, instance {status.instance[:8]}",
+        (f"\nroughmap {status.version}, instance {status.instance[:8]}", "dim"),
     )  # fmt: skip
     if silent_s >= 2.0:
         head.append(f"\nno answer for {silent_s:.0f} s; what follows is from before", "bold red")
@@ -145,7 +146,8 @@ def _resources(status: MapStatus) -> Table:
         extent = f", {xmax - xmin:,.0f} x {ymax - ymin:,.0f} m"
     table.add_row("tiles", f"{tiles.resident:,} in memory, {tiles.spilled:,} on disk{extent}")
     fault = "" if log.ok else ", CAN'T BE WRITTEN"
-    table.add_row("log", Text(f"{log.file or 'none'}, {_bytes(log.bytes)}{fault}", "" if log.ok else "bold red"))
+    name = Path(log.file).name if log.file else "none"
+    table.add_row("log", Text(f"{_bytes(log.bytes)} in {name}{fault}", "" if log.ok else "bold red"))
     return table
 
 
