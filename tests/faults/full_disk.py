@@ -71,7 +71,8 @@ def hung_disks(trial: Trial, folder: Path, rng: random.Random, number: int) -> N
     """The same with a disk of the log that answers nothing for a while, in turns its syncs, its writes and both."""
     shim = Shim(folder)
     fleet = Fleet(rng.randrange(1 << 30))
-    with Service(folder, environ=shim.environ, **settings(shim.root)) as service:
+    elsewhere = {"spill_path": str(folder / "tiles.spill")}  # where it hangs nobody tells requests why
+    with Service(folder, environ=shim.environ, **settings(shim.root, map=elsewhere)) as service:
         endpoints = service.ready()["endpoints"]
         with zenoh.open(peer_config(connect=endpoints)) as session, fleet.at_work(endpoints):
             client = RoughMapClient("site", session=session, timeout=WAIT_S)

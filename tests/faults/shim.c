@@ -149,6 +149,16 @@ ssize_t pwrite64(int fd, const void *data, size_t length, off64_t offset) {
     return tracked(fd) ? written(fd, data, length, offset, 1) : REAL(pwrite64)(fd, data, length, offset);
 }
 
+/* The spill file's; glibc has the second, which Python takes where it can. No power cut needs them: it is made anew. */
+ssize_t pwritev64(int fd, const struct iovec *parts, int number, off64_t offset) {
+    stuck(fd, 2);
+    return REAL(pwritev64)(fd, parts, number, offset);
+}
+ssize_t pwritev64v2(int fd, const struct iovec *parts, int number, off64_t offset, int flags) {
+    stuck(fd, 2);
+    return REAL(pwritev64v2)(fd, parts, number, offset, flags);
+}
+
 static int synced(int fd, int only_data) {
     stuck(fd, 1);
     if (tracked(fd) && fails(SYNC_EVERY, is_log[fd])) return -1;

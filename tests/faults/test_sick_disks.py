@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import paths  # noqa: F401 - before what it makes importable
 import pytest
 from net import Gathered
@@ -17,6 +18,12 @@ from shim import Shim
 
 from roughmap_schemas import MapStatus, encode_cloud
 from roughmap_service.cli.main import run
+
+
+def dense(number: int) -> bytes:
+    """A cloud with a point in each cell of 64 tiles: 16 MiB."""
+    x, y = np.meshgrid(0.1 * np.arange(512) + 0.05 + 51.2 * number, 0.1 * np.arange(512) + 0.05)
+    return encode_cloud(np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float32), T0 + number, "map")
 
 
 def placed(number: int) -> bytes:
@@ -60,7 +67,7 @@ class Sick:
         return [line["event"] for line in lines if line.get("event") in told]
 
 
-Start = Callable[[], Any]
+Start = Callable[..., Any]
 
 
 @pytest.fixture
@@ -73,10 +80,11 @@ def start(tmp_path: Path, shim: Shim, monkeypatch: pytest.MonkeyPatch) -> Start:
     monkeypatch.chdir(tmp_path)
 
     @contextmanager
-    def started() -> Iterator[Sick]:
+    def started(**settings: Any) -> Iterator[Sick]:
+        given = {"store": {"path": str(shim.root / "store" / "map.db"), "snapshot_interval": 0.2}, **settings}
         with Service(
             tmp_path, environ=shim.environ, log={"directory": str(shim.root / "log")}, http={"listen": "127.0.0.1:0"},
-            store={"path": str(shim.root / "store" / "map.db"), "snapshot_interval": 0.2},
+            **given,
         ) as service, connected(service) as feed:  # fmt: skip
             yield Sick(service, feed)
             assert service.stop() == 0, service.err[-3:]
@@ -135,3 +143,25 @@ def test_a_disk_that_hangs_is_told_and_refused_for(shim: Shim, start: Start) -> 
         assert feed.decided(receipt.input).outcome == "integrated"
         assert feed.decided(feed.ingest("points", "r1", placed(3)).input).sequence == sequence + 2
     assert sick.events() == ["degraded", "recovered"]
+
+
+def test_a_spill_file_that_hangs_is_told_and_only_the_map_waits(shim: Shim, start: Start) -> None:
+    """The sequencer needs room for a cloud and waits for it: the queue's limit answers requests; queries go on."""
+    spill = {"memory_limit": "8MiB", "spill_path": str(shim.root / "tiles.spill")}
+    small = {"queue_limit": "8MiB", "max_message": "8MiB"}
+    answers: Gathered[Any] = Gathered()
+    with start(map=spill, input=small, store={}) as sick:
+        feed: Feed = sick.feed
+        with shim.hanging(syncs=False, writes=True, only="store"):  # all that is not the log
+            for number in range(2):
+                feed.put("points", "r1", dense(number))
+            sick.becomes("degraded")
+            assert list(sick.readyz()[1]) == ["sequencer_stalled"]
+            assert feed.client.region((0, 0, 1, 1)).known_cells == 100, "queries go on"
+            for number in range(2, 5):
+                feed.send("points", "r1", dense(number), answers)
+            answers.wait(lambda items: "busy" in items, "a request that finds no room")
+        sick.becomes("ok")
+        answers.wait(lambda items: len(items) == 3, "the receipts of those that found room")
+        assert feed.decided(feed.ingest("points", "r1", placed(1)).input).outcome == "integrated"
+    assert sick.events() == ["stalled", "stall_ended"]
