@@ -1,20 +1,22 @@
-"""From bounded points to changed tiles: collect, make room, update in order, mark."""
+"""From bounded points to changed tiles: collect and bring into memory; make room, update in order, mark."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from roughmap.arrays import I4, I8, U1, U8
 from roughmap.blocks import State
-from roughmap.cell import TILE_CELLS, TooManyTiles
+from roughmap.cell import REASON_NAMES, TILE_CELLS, TooManyTiles
 from roughmap.changes import mark_changed
 from roughmap.fused import collect_odd, update_tiles
 from roughmap.index import find, row_of
 from roughmap.jit import kernel
+from roughmap.place import BLOCK
 from roughmap.settings import Rules, Settings
-from roughmap.tiles import TileTable
-from roughmap.workspace import Planes, ThreadScratch, Workspace
+from roughmap.tiles import Hold, TileTable
+from roughmap.workspace import Planes, ThreadScratch, Workspace, blocks_of
 
 _DENSE_POINTS = 128
 """A tile that so many points of one scan touch will soon be known for the most part."""
@@ -33,6 +35,41 @@ class AddReport:
     accepted: int
     rejected: dict[str, int] = field(default_factory=dict)
     tiles: I4 = field(default_factory=lambda: np.zeros((0, 2), np.int32))
+
+
+class Work(NamedTuple):
+    """What is left to do when a call's points are bounded and their tiles are found, in the workspace's rows of tiles.
+
+    ``planes``, ``edges`` (P + 1,), ``stamps``: the points, their range a thread, one stamp or one a point. ``rows``
+    (P, R): see `_merged`. ``tx``, ``ty`` (T,): the tiles; ``entries`` (T,) of the table, -1 for those that are ``new``.
+    ``changed`` (T, 2): the tiles, ascending. ``owner`` (T,): the thread of each; ``bits`` (T, 64): room for their
+    changed cells.
+    """
+
+    planes: Planes
+    edges: I8
+    stamps: I8
+    rows: I4
+    tx: I4
+    ty: I4
+    entries: I4
+    new: I8
+    changed: I4
+    owner: U1
+    bits: U8
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A call's points, placed and counted as in `AddReport`; the map is as it was.
+
+    ``work`` is for `RoughMap.integrate`; None: there is nothing to do. It is of the map as it was at ``state``.
+    """
+
+    accepted: int
+    rejected: dict[str, int]
+    work: Work | None = None
+    state: tuple[int, ...] = ()
 
 
 @kernel
@@ -97,23 +134,50 @@ def _merged(space: Workspace, parts: int) -> I4:
     return rows
 
 
-def integrate(
+def prepare(
+    number: int,
     planes: Planes,
-    edges: I8,
     stamps: I8,
-    sequence: int,
+    geometry: Geometry,
+    state: tuple[int, ...],
     table: TileTable,
     settings: Settings,
     space: Workspace,
     max_new_tiles: int | None,
     max_tiles: int | None,
-) -> tuple[I4, int]:
-    """Take up the points in ``planes`` (with ``stamps``, one or one a point) as ``sequence``.
+    hold: Hold,
+) -> Prepared:
+    """Phase one of ``number`` points: their ``geometry``, and the tiles that they touch, in memory and shared out.
 
-    ``edges`` (P + 1,): the ranges of points whose tiles the first P threads' scratch holds. Returns the changed tiles
-    (T, 2), ascending, and the newest stamp in them (0 if none). `TooManyTiles` and MemoryError come before anything is
-    changed; so does what goes wrong when tiles are brought back from the shelf.
+    `TooManyTiles` before any is brought back; for ``hold``, and what may be raised then, see `TileTable.bring_back`.
     """
+    parts = space.parts(number)
+    edges = np.array([min(blocks_of(number) * n // parts * BLOCK, number) for n in range(parts + 1)])
+
+    def find(part: int, scratch: ThreadScratch) -> None:
+        find_tiles(int(edges[part]), int(edges[part + 1]), planes, settings.rules, scratch, geometry)
+
+    space.run(parts, find)
+    counts = np.sum([scratch.tiles.rejected for scratch in space.scratch[:parts]], axis=0)
+    accepted = number - int(counts.sum())
+    rejected = {name: n for name, n in zip(REASON_NAMES, counts.tolist(), strict=True) if n}
+    if not accepted:
+        return Prepared(0, rejected)
+    work = _work(planes, edges, stamps, table, space, max_new_tiles, max_tiles)
+    table.bring_back(work.entries[work.entries >= 0], hold)
+    return Prepared(accepted, rejected, work, (*state, space.uses))
+
+
+def _work(
+    planes: Planes,
+    edges: I8,
+    stamps: I8,
+    table: TileTable,
+    space: Workspace,
+    max_new_tiles: int | None,
+    max_tiles: int | None,
+) -> Work:
+    """What there is to do. ``edges``: the ranges of points whose tiles the first P threads' scratch holds."""
     parts = len(edges) - 1
     rows = _merged(space, parts)
     tiles = space.scratch[0].tiles
@@ -128,40 +192,49 @@ def integrate(
         allowed = min(allowed, max(max_tiles - table.size, 0))
     if len(new) > allowed:
         raise TooManyTiles(len(new), allowed)
-
     tx = (keys >> np.uint64(32)).astype(np.uint32).view(np.int32)
     ty = keys.astype(np.uint32).view(np.int32)
-    # All memory is taken before the first cell is written: what fails then has changed nothing.
-    bits = np.zeros((number, TILE_CELLS), np.uint64)
     order = np.lexsort((ty, tx))
+    owner = np.zeros(number, np.uint8)
+    _share_out(np.argsort(-work, kind="stable"), work, parts, owner)
+    bits = np.zeros((number, TILE_CELLS), np.uint64)
     changed = np.stack([tx[order], ty[order]], axis=1)
+    return Work(planes, edges, stamps, rows, tx, ty, entries, new, changed, owner, bits)
+
+
+def integrate(work: Work, sequence: int, table: TileTable, settings: Settings, space: Workspace) -> int:
+    """Phase two: take up the points as ``sequence``; the newest stamp in their tiles (0 if none).
+
+    MemoryError comes before anything is changed.
+    """
+    tx, ty, entries, new = work.tx, work.ty, work.entries.copy(), work.new
+    tiles = space.scratch[0].tiles
+    # All memory is taken before the first cell is written: what fails then has changed nothing.
     table.open(entries[entries >= 0])
-    entries[new] = table.insert(tx[new], ty[new], dense=work[new] >= _DENSE_POINTS)
+    entries[new] = table.insert(tx[new], ty[new], dense=tiles.work[new] >= _DENSE_POINTS)
     table.used[entries] = sequence
 
     oldest, newest = table.oldest_ns[entries], table.newest_ns[entries]
     oldest[new], newest[new] = _NEVER_NS.max, _NEVER_NS.min
     address = table.pool.address[table.slot[entries]]
-    owner = np.zeros(number, np.uint8)
-    _share_out(np.argsort(-work, kind="stable"), work, parts, owner)
-
+    parts = len(work.edges) - 1
     ends = np.array([scratch.tiles.runs for scratch in space.scratch[:parts]])
 
     def update(part: int, scratch: ThreadScratch) -> None:
         update_tiles(
             part,
-            owner,
-            edges[:-1],
+            work.owner,
+            work.edges[:-1],
             ends,
-            planes,
-            stamps,
+            work.planes,
+            work.stamps,
             settings.rules,
             settings.min_distance,
-            rows,
+            work.rows,
             tiles.table,
-            keys,
+            tiles.keys[: tiles.number],
             address,
-            bits,
+            work.bits,
             oldest,
             newest,
             scratch.lines,
@@ -174,5 +247,5 @@ def integrate(
     table.newest_ns[entries] = newest
     table.digest_known[entries] = False
     for z, level in enumerate(table.levels):
-        mark_changed(z, level.table, level.keys, level.sequence, tx, ty, bits, sequence)
-    return changed, int(newest.max(initial=0))
+        mark_changed(z, level.table, level.keys, level.sequence, tx, ty, work.bits, sequence)
+    return int(newest.max(initial=0))

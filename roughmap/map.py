@@ -1,6 +1,7 @@
 """The map: points in, tiles of cells kept up to date, readings out."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from types import TracebackType
 from typing import Self
 
@@ -9,25 +10,33 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap import blocks, loading
-from roughmap.arrays import F8, I4, I8, U1, Records
+from roughmap.arrays import I4, I8, U1, Records
 from roughmap.blocks import State
-from roughmap.cell import OFFSET_LIMIT_NS, REASON_NAMES, STAMP_LIMIT_NS, TILE_CELLS, PointReason
-from roughmap.digest import map_digest, tile_digest
+from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS, TILE_CELLS, PointReason
+from roughmap.digest import map_digest
 from roughmap.eviction import Eviction
-from roughmap.footprint import POINT
 from roughmap.frozen import Frozen
 from roughmap.index import TileBox, TileVersions, paired
-from roughmap.integrate import AddReport, Geometry, find_tiles, integrate
+from roughmap.integrate import AddReport, Geometry, Prepared, integrate, prepare
 from roughmap.merge_cache import MergeCache
-from roughmap.place import BLOCK, pose_at
+from roughmap.place import pose_at
 from roughmap.region import Region, cell_box, read_region, tile_box
-from roughmap.scan import Limits, Noise, Scan, checked_integers, checked_points, checked_stamp, point_rules
+from roughmap.scan import (
+    Limits,
+    Noise,
+    Scan,
+    checked_covariances,
+    checked_integers,
+    checked_points,
+    checked_stamps,
+    point_rules,
+)
 from roughmap.settings import Settings
 from roughmap.shelf import Shelf
 from roughmap.strided import source_of
-from roughmap.tiles import TileTable
+from roughmap.tiles import Hold, TileTable
 from roughmap.trajectory import Trajectory
-from roughmap.workspace import Planes, ThreadScratch, Workspace, blocks_of
+from roughmap.workspace import Planes, ThreadScratch, Workspace
 
 
 class RoughMap:
@@ -41,8 +50,9 @@ class RoughMap:
     tiles go that `spill` takes out of memory.
 
     The same points, covariances and stamps in the same order give the same bytes of state, however they were cut into
-    calls and however many threads worked on them. One thread at a time may call the methods; what `freeze` gives may
-    be read by others meanwhile. Errors in arguments are ValueError, and nothing is changed then.
+    calls and however many threads worked on them. One thread at a time may call the methods, but for `prepare`: what
+    stands there. What `freeze` gives may be read by others meanwhile. Errors in arguments are ValueError, and nothing
+    is changed then.
     """
 
     def __init__(
@@ -152,27 +162,11 @@ class RoughMap:
         rejected as `time`. `TooManyTiles` if more than ``max_new_tiles`` tiles would be new or the map would have more
         than ``max_tiles``; no cell is written then.
         """
-        checked = checked_points(points, "points")
-        number = len(checked)
-        matrices = self._covariances(covariance, number)
-        stamps = _checked_stamps(stamp_ns, number)
-        late = None
-        if offsets_ns is not None:
-            offsets = checked_integers(offsets_ns, (number,), "offsets_ns")
-            late = (offsets < 0) | (offsets > OFFSET_LIMIT_NS)
-            stamps = stamps + np.where(late, 0, offsets)
-            late |= stamps >= STAMP_LIMIT_NS
-        planes = self._space.planes(number)
-        if late is not None:
-            planes.reason[:number][late & np.isfinite(checked).all(axis=1)] = PointReason.TIME
-        source, rules = source_of(checked), self.settings.rules
-
-        def bound(start: int, stop: int, scratch: ThreadScratch, state: State) -> tuple[int, State]:
-            return blocks.point_blocks(
-                start, stop, planes, scratch.block, source, matrices, rules, scratch.tiles.arrays, state
+        return self.integrate(
+            self.prepare(
+                points, covariance, stamp_ns, offsets_ns=offsets_ns, max_new_tiles=max_new_tiles, max_tiles=max_tiles
             )
-
-        return self._add(number, planes, stamps, bound, max_new_tiles, max_tiles)
+        )
 
     def add_scan(
         self,
@@ -189,6 +183,61 @@ class RoughMap:
         No covariance array is made: each block of points is placed, bounded, and its covariances forgotten.
         ``max_new_tiles``, ``max_tiles``: as in `add`.
         """
+        return self.integrate(
+            self.prepare_scan(scan, trajectory, noise, limits, max_new_tiles=max_new_tiles, max_tiles=max_tiles)
+        )
+
+    def prepare(
+        self,
+        points: npt.ArrayLike,
+        covariance: npt.ArrayLike | None = None,
+        stamp_ns: npt.ArrayLike = 0,
+        *,
+        offsets_ns: npt.ArrayLike | None = None,
+        max_new_tiles: int | None = None,
+        max_tiles: int | None = None,
+        hold: Hold = nullcontext,
+    ) -> Prepared:
+        """All of an `add` before the change that readers see: points are bounded, tiles brought into memory.
+
+        The one thread that changes the map may call it while others call `freeze`, under a lock that it need not hold:
+        ``hold`` gives it for moments, not while tiles are read from the shelf. What this raises leaves the map as it
+        was. Next comes `integrate`, under the lock.
+        """
+        checked = checked_points(points, "points")
+        number = len(checked)
+        matrices = checked_covariances(covariance, number, self.settings.error_model)
+        stamps = checked_stamps(stamp_ns, number)
+        late = None
+        if offsets_ns is not None:
+            offsets = checked_integers(offsets_ns, (number,), "offsets_ns")
+            late = (offsets < 0) | (offsets > OFFSET_LIMIT_NS)
+            stamps = stamps + np.where(late, 0, offsets)
+            late |= stamps >= STAMP_LIMIT_NS
+        planes = self._space.planes(number)
+        if late is not None:
+            planes.reason[:number][late & np.isfinite(checked).all(axis=1)] = PointReason.TIME
+        source, rules = source_of(checked), self.settings.rules
+
+        def bound(start: int, stop: int, scratch: ThreadScratch, state: State) -> tuple[int, State]:
+            return blocks.point_blocks(
+                start, stop, planes, scratch.block, source, matrices, rules, scratch.tiles.arrays, state
+            )
+
+        return self._prepare(number, planes, stamps, bound, max_new_tiles, max_tiles, hold)
+
+    def prepare_scan(
+        self,
+        scan: Scan,
+        trajectory: Trajectory,
+        noise: Noise,
+        limits: Limits | None = None,
+        *,
+        max_new_tiles: int | None = None,
+        max_tiles: int | None = None,
+        hold: Hold = nullcontext,
+    ) -> Prepared:
+        """The same of an `add_scan`."""
         limits = limits or Limits()
         number = len(scan.points)
         offsets = scan.times
@@ -204,9 +253,9 @@ class RoughMap:
                 gap, posed, pose, rules, own, scratch.tiles.arrays, state,
             )  # fmt: skip
 
-        return self._add(number, planes, stamps, place, max_new_tiles, max_tiles)
+        return self._prepare(number, planes, stamps, place, max_new_tiles, max_tiles, hold)
 
-    def _add(
+    def _prepare(
         self,
         number: int,
         planes: Planes,
@@ -214,39 +263,29 @@ class RoughMap:
         geometry: Geometry,
         max_new_tiles: int | None,
         max_tiles: int | None,
-    ) -> AddReport:
-        """Phase one, ``geometry`` over ranges of points; phase two, the tiles."""
-        parts = self._space.parts(number)
-        edges = np.array([min(blocks_of(number) * n // parts * BLOCK, number) for n in range(parts + 1)])
+        hold: Hold,
+    ) -> Prepared:
+        return prepare(
+            number, planes, stamps, geometry, self._state, self._table, self.settings, self._space, max_new_tiles,
+            max_tiles, hold,
+        )  # fmt: skip
 
-        def find(part: int, scratch: ThreadScratch) -> None:
-            find_tiles(int(edges[part]), int(edges[part + 1]), planes, self.settings.rules, scratch, geometry)
-
-        self._space.run(parts, find)
-        counts = np.sum([scratch.tiles.rejected for scratch in self._space.scratch[:parts]], axis=0)
-        accepted = number - int(counts.sum())
-        rejected = {name: n for name, n in zip(REASON_NAMES, counts.tolist(), strict=True) if n}
-        if not accepted:
-            return AddReport(0, rejected)
-        tiles, newest_ns = integrate(
-            planes, edges, stamps, self.sequence + 1, self._table, self.settings, self._space, max_new_tiles, max_tiles
-        )
+    def integrate(self, prepared: Prepared) -> AddReport:
+        """Take up what was prepared last. MemoryError, or ValueError if the map has changed since: nothing is done."""
+        work = prepared.work
+        if work is None:
+            return AddReport(0, prepared.rejected)
+        if prepared.state != (*self._state, self._space.uses):
+            raise ValueError("expected what was prepared last, for the map as it is now")
+        newest_ns = integrate(work, self.sequence + 1, self._table, self.settings, self._space)
         self.sequence += 1
         self.newest_updated = max(self.newest_updated, newest_ns // 1_000_000_000)
-        return AddReport(accepted, rejected, tiles)
+        return AddReport(prepared.accepted, prepared.rejected, work.changed)
 
-    def _covariances(self, covariance: npt.ArrayLike | None, number: int) -> F8:
-        """(N, 3, 3), or (1, 3, 3) for one that holds for all points."""
-        if covariance is None:
-            if self.settings.model != POINT:
-                raise ValueError(f"covariance: expected (N, 3, 3) or (3, 3), the model is {self.settings.error_model}")
-            return np.zeros((1, 3, 3))
-        array = np.asarray(covariance)
-        if array.shape not in ((number, 3, 3), (3, 3)) or array.dtype.kind not in "fiu":
-            raise ValueError(
-                f"covariance: expected numbers of shape ({number}, 3, 3) or (3, 3), got {array.dtype} of {array.shape}"
-            )
-        return np.require(array.reshape(-1, 3, 3), np.float64, ["C", "A", "W"])
+    @property
+    def _state(self) -> tuple[int, int]:
+        """Another one after each change of the map."""
+        return self.sequence, self._cache.generation
 
     def reset(self) -> None:
         """Forget all cells; the sequence goes on. Readings that are open keep what they hold."""
@@ -299,19 +338,12 @@ class RoughMap:
 
     def tile_digests(self) -> tuple[I4, I4, U1]:
         """(tx, ty, digests (T, 16)) of the level-0 tiles with a known cell, ascending by (tx, ty)."""
-        table = self._table
-        entries = table.select()
-        for entry in entries[~table.digest_known[entries]].tolist():
-            table.digest[entry] = np.frombuffer(tile_digest(table.records(int(table.slot[entry]))), np.uint8)
-            table.digest_known[entry] = True
-        base = table.levels[0]
-        return base.tx[entries], base.ty[entries], table.digest[entries]
+        return self._table.digests()
 
     def digest(self) -> str:
         """XXH3-128, hex, over the digests of all tiles; of an empty map that of no bytes. Kept until it changes."""
-        state = self.sequence, self._cache.generation
-        if self._digest[0] != state:
-            self._digest = state, map_digest(*self.tile_digests())
+        if self._digest[0] != self._state:
+            self._digest = self._state, map_digest(*self.tile_digests())
         return self._digest[1]
 
     def freeze(self, level: int = 0, box: TileBox | None = None, *, after: int = -1) -> Frozen:
@@ -363,13 +395,3 @@ class RoughMap:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-def _checked_stamps(stamp_ns: npt.ArrayLike, number: int) -> I8:
-    """(1,) or (N,) stamps in [0, 2^32 s)."""
-    if np.ndim(stamp_ns) == 0:
-        return np.array([checked_stamp(stamp_ns, "stamp_ns")], np.int64)  # type: ignore[arg-type]
-    stamps = checked_integers(stamp_ns, (number,), "stamp_ns")
-    if number and not (stamps.min() >= 0 and stamps.max() < STAMP_LIMIT_NS):
-        raise ValueError("stamp_ns: expected nanoseconds in [0, 2^32 s)")
-    return stamps

@@ -48,6 +48,30 @@ def checked_points(points: npt.ArrayLike, name: str) -> npt.NDArray[np.floating]
     return array
 
 
+def checked_stamps(stamp_ns: npt.ArrayLike, number: int) -> I8:
+    """(1,) or (N,) stamps in [0, 2^32 s), else ValueError."""
+    if np.ndim(stamp_ns) == 0:
+        return np.array([checked_stamp(stamp_ns, "stamp_ns")], np.int64)  # type: ignore[arg-type]
+    stamps = checked_integers(stamp_ns, (number,), "stamp_ns")
+    if number and not (stamps.min() >= 0 and stamps.max() < STAMP_LIMIT_NS):
+        raise ValueError("stamp_ns: expected nanoseconds in [0, 2^32 s)")
+    return stamps
+
+
+def checked_covariances(covariance: npt.ArrayLike | None, number: int, error_model: str) -> F8:
+    """(N, 3, 3), or (1, 3, 3) for one that holds for all points, else ValueError; None only for "point"."""
+    if covariance is None:
+        if error_model != "point":
+            raise ValueError(f"covariance: expected (N, 3, 3) or (3, 3), the model is {error_model}")
+        return np.zeros((1, 3, 3))
+    array = np.asarray(covariance)
+    if array.shape not in ((number, 3, 3), (3, 3)) or array.dtype.kind not in "fiu":
+        raise ValueError(
+            f"covariance: expected numbers of shape ({number}, 3, 3) or (3, 3), got {array.dtype} of {array.shape}"
+        )
+    return np.require(array.reshape(-1, 3, 3), np.float64, ["C", "A", "W"])
+
+
 @dataclass(frozen=True, eq=False)
 class Scan:
     """One sweep in the sensor's frame, and how the sensor is mounted on the robot.

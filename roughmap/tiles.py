@@ -1,12 +1,19 @@
 """The sparse table of tiles: what exists, where it lies, when it changed."""
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+
 import numpy as np
 
-from roughmap.arrays import I4, Flags, Records
+from roughmap.arrays import I4, U1, Flags, Records
 from roughmap.cell import CELL_DTYPE
+from roughmap.digest import tile_digest
 from roughmap.index import LevelIndex, TileBox, grown
 from roughmap.memory import SLOT_BYTES, SLOT_CELLS, SlotPool
 from roughmap.shelf import Shelf
+
+Hold = Callable[[], AbstractContextManager[object]]
+"""Takes, for a moment, the lock under which readers pin tiles."""
 
 
 class TileTable:
@@ -17,7 +24,8 @@ class TileTable:
     table has a known cell. ``slot`` is where it lies: of the pool if not negative, else the place ``~slot`` of the
     shelf; what lies there has its digest known. ``used`` is the sequence at which the tile was last needed.
 
-    Everything is the writer's, under its lock, but :meth:`records` of slots that the caller has pinned.
+    Everything is the writer's, under its lock, but :meth:`bring_back`, and :meth:`records` of slots that the caller has
+    pinned.
     """
 
     def __init__(self, levels: int, shelf: Shelf) -> None:
@@ -73,12 +81,36 @@ class TileTable:
         self.slot[entries] = slots
         return entries
 
-    def open(self, entries: I4) -> None:
-        """Before these tiles are written: those on the shelf are brought back, those that are pinned get a copy.
+    def bring_back(self, entries: I4, hold: Hold) -> None:
+        """Those of these tiles that are on the shelf come into memory: the writer's, without its lock.
 
-        MemoryError, or the shelf's error, leaves each tile with the cells that it had.
+        ``hold`` is called for the moments at which readers would notice, and never while the shelf is read: only the
+        writer takes tiles out of the table or out of memory. MemoryError, or the shelf's error, leaves all as it was.
         """
-        self._bring_back(entries[self.slot[entries] < 0])
+        entries = entries[self.slot[entries] < 0]
+        if not len(entries):
+            return
+        places = ~self.slot[entries]
+        with hold():
+            slots = self.pool.allocate(len(entries))
+        try:
+            for place, slot in zip(places.tolist(), slots.tolist(), strict=True):
+                self.shelf.read(place, self.pool.writable(slot))
+        except BaseException:
+            with hold():
+                self.pool.release(slots)
+            raise
+        with hold():
+            self.slot[entries] = slots
+            self.shelf.release(places)
+
+    def open(self, entries: I4) -> None:
+        """Before these tiles are written: those that are pinned get a copy.
+
+        ValueError if one is not in memory; that and MemoryError leave each tile with the cells that it had.
+        """
+        if (self.slot[entries] < 0).any():
+            raise ValueError("expected tiles that are in memory")
         shared = entries[self.pool.pins[self.slot[entries]] > 0]  # copy-on-write
         if not len(shared):
             return
@@ -90,20 +122,6 @@ class TileTable:
         self.slot[shared] = new
         self.pool.release(old)
 
-    def _bring_back(self, entries: I4) -> None:
-        if not len(entries):
-            return
-        places = ~self.slot[entries]
-        slots = self.pool.allocate(len(entries))
-        try:
-            for place, slot in zip(places.tolist(), slots.tolist(), strict=True):
-                self.shelf.read(place, self.pool.writable(slot))
-        except BaseException:
-            self.pool.release(slots)
-            raise
-        self.slot[entries] = slots
-        self.shelf.release(places)
-
     def clear(self) -> None:
         """Give back all slots and places; what readers have pinned stays until they unpin it."""
         slots = self.slot[: self.size]
@@ -113,6 +131,15 @@ class TileTable:
     def select(self, box: TileBox | None = None) -> I4:
         """Entries of the level-0 tiles in ``box`` (inclusive tile numbers; None: all), ascending by (tx, ty)."""
         return self.levels[0].entries(box)
+
+    def digests(self) -> tuple[I4, I4, U1]:
+        """(tx, ty, digests (T, 16)) of the level-0 tiles, ascending by (tx, ty); those not known yet are made."""
+        entries = self.select()
+        for entry in entries[~self.digest_known[entries]].tolist():
+            self.digest[entry] = np.frombuffer(tile_digest(self.records(int(self.slot[entry]))), np.uint8)
+            self.digest_known[entry] = True
+        base = self.levels[0]
+        return base.tx[entries], base.ty[entries], self.digest[entries]
 
     def pin(self, slots: I4) -> None:
         """Keep the bytes of these (different) slots as they are, until :meth:`unpin`."""

@@ -152,11 +152,15 @@ class ThreadScratch:
 
 
 class Workspace:
-    """Planes, scratch and threads of one map. ``side``: most cells of a footprint along an axis."""
+    """Planes, scratch and threads of one map. ``side``: most cells of a footprint along an axis.
+
+    ``uses``: how often `planes` was called; what it gave before is overwritten.
+    """
 
     def __init__(self, threads: int, side: int) -> None:
         self.threads = threads
         self.side = side
+        self.uses = 0
         self._planes = _planes(0)
         self._scratch = [ThreadScratch(side)]
         self._pool: ThreadPoolExecutor | None = None
@@ -168,6 +172,7 @@ class Workspace:
 
     def planes(self, number: int) -> Planes:
         """Planes for ``number`` points, in whole blocks; what they hold is left from before, but ``reason``, 0."""
+        self.uses += 1
         blocks = blocks_of(number)
         kept = self._planes
         if blocks > len(kept.weight):

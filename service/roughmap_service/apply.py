@@ -1,10 +1,13 @@
 """The only writer of the map: what an event does, the same live, in a replay and in recovery."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 
-from roughmap import AddReport, RoughMap, Scan, TooManyTiles
+from roughmap import RoughMap, Scan, TooManyTiles
 from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS
+from roughmap.integrate import Prepared
+from roughmap.tiles import Hold
 from roughmap_schemas import (
     CheckpointEvent,
     Cloud,
@@ -74,19 +77,23 @@ class RunState:
         returned must equal it. RunError if it names an input that is not there.
         """
         if isinstance(event, IntegrationEvent):
-            return self._integrate(event)
+            return self.prepare(event)()
         if isinstance(event, ResetEvent):
             self.map.reset()
             self.epoch += 1
             return ResetEvent(epoch=self.epoch, sequence=self.map.sequence)
         return CheckpointEvent(epoch=self.epoch, sequence=self.map.sequence, digest=self.map.digest())
 
-    def _integrate(self, event: IntegrationEvent) -> IntegrationEvent:
+    def prepare(self, event: IntegrationEvent, hold: Hold = nullcontext) -> Callable[[], IntegrationEvent]:
+        """All of an integration before the change that readers see; what is returned makes that change, and comes next.
+
+        The points are placed, and the tiles that they touch brought into memory: for ``hold`` see `RoughMap.prepare`.
+        """
         cloud = self.clouds.pop(event.input, None)
         if cloud is None:
             raise RunError(f"an event names input {event.input}, which is no undecided cloud of this log")
         outcome: str = event.outcome
-        accepted, rejected = 0, dict[PointReason, int]()
+        prepared = Prepared(0, {})
         if event.outcome in PLACED:
             try:
                 poses = self.buffer(event.robot).named(event.poses)
@@ -98,21 +105,24 @@ class RunState:
             try:
                 # Whether there was room then, no replay can know: that the cloud needed a new tile, it can.
                 bounded = self.no_new_tiles or event.outcome == CloudReason.TOO_MANY_TILES
-                report = integrate(self.map, event.robot, cloud, poses, self.settings, no_new_tiles=bounded)
-                accepted = report.accepted
-                rejected = {PointReason(name): n for name, n in report.rejected.items()}
-                outcome = INTEGRATED if accepted else CloudReason.EMPTY
+                prepared = prepare(self.map, event.robot, cloud, poses, self.settings, no_new_tiles=bounded, hold=hold)
+                outcome = INTEGRATED if prepared.accepted else CloudReason.EMPTY
             except TooManyTiles:
                 outcome = CloudReason.TOO_MANY_TILES
-        return event.model_copy(
-            update={
-                "epoch": self.epoch,
-                "outcome": outcome,
-                "accepted": accepted,
-                "rejected": rejected,
-                "sequence": self.map.sequence,
-            }
-        )
+
+        def change() -> IntegrationEvent:
+            self.map.integrate(prepared)
+            return event.model_copy(
+                update={
+                    "epoch": self.epoch,
+                    "outcome": outcome,
+                    "accepted": prepared.accepted,
+                    "rejected": {PointReason(name): n for name, n in prepared.rejected.items()},
+                    "sequence": self.map.sequence,
+                }
+            )
+
+        return change
 
     def buffer(self, robot: str) -> PoseBuffer:
         """The robot's pose buffer, made when it is first heard."""
@@ -124,7 +134,7 @@ class RunState:
         return self.poses[robot]
 
 
-def integrate(
+def prepare(
     rough_map: RoughMap,
     robot: str,
     cloud: Cloud,
@@ -132,15 +142,19 @@ def integrate(
     settings: Settings,
     *,
     no_new_tiles: bool = False,
-) -> AddReport:
-    """Place a cloud and add it to the map. TooManyTiles before any cell is written."""
-    limits = {"max_new_tiles": 0 if no_new_tiles else settings.max_new_tiles, "max_tiles": settings.max_tiles}
-    if cloud.frame_id == settings.frame_id:
-        return _integrate_placed(rough_map, cloud, settings, limits)
+    hold: Hold = nullcontext,
+) -> Prepared:
+    """Place a cloud, for the map to integrate. TooManyTiles if it can't."""
+    most_new, most = 0 if no_new_tiles else settings.max_new_tiles, settings.max_tiles
+    if cloud.frame_id == settings.frame_id:  # no pose, no limits of a sensor, one covariance for all its points
+        return rough_map.prepare(
+            cloud.points, settings.placed_covariance, cloud.stamp_ns, offsets_ns=cloud.offsets_ns,
+            max_new_tiles=most_new, max_tiles=most, hold=hold,
+        )  # fmt: skip
     sensor = settings.sensor(robot, cloud.frame_id)
     if sensor is None:
         # It waited over a restart with a configuration that no longer has its sensor: nobody knows where that sat.
-        return AddReport(0, {PointReason.NO_POSE: len(cloud.points)} if len(cloud.points) else {})
+        return Prepared(0, {PointReason.NO_POSE: len(cloud.points)} if len(cloud.points) else {})
     scan = Scan(
         cloud.points,
         cloud.stamp_ns,
@@ -152,13 +166,8 @@ def integrate(
         line = trajectory(poses, settings.pose_covariance)
     except ValueError as error:
         raise RunError(f"an event names poses of {robot} that make no way: {error}") from None
-    return rough_map.add_scan(scan, line, sensor.noise, sensor.limits, **limits)
-
-
-def _integrate_placed(rough_map: RoughMap, cloud: Cloud, settings: Settings, limits: Mapping[str, int]) -> AddReport:
-    """A cloud in the map's own frame: no pose, no limits of a sensor, one covariance for all its points."""
-    return rough_map.add(
-        cloud.points, settings.placed_covariance, cloud.stamp_ns, offsets_ns=cloud.offsets_ns, **limits
+    return rough_map.prepare_scan(
+        scan, line, sensor.noise, sensor.limits, max_new_tiles=most_new, max_tiles=most, hold=hold
     )
 
 

@@ -3,6 +3,7 @@
 import logging
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 
 from roughmap_schemas import CloudReason, Event, IntegrationEvent, encode_event
 
@@ -66,12 +67,9 @@ class Decider:
         proposal = _proposal(decision, self._state)
         self._memory.relieve(self._view.reading)  # before the map is held: it may write to the disk
         self._state.no_new_tiles = self._memory.full
-        with self._view.change():
-            begun = time.monotonic()
-            done = self._place(proposal)
-            took = time.monotonic() - begun
-            self._log_event(done)
-        assert isinstance(done, IntegrationEvent)  # noqa: S101 - what an integration becomes
+        begun = time.monotonic()
+        done = self._place(proposal)
+        took = time.monotonic() - begun
         arrival = self.arrived.pop(done.input, None)
         if done.accepted:
             self.newest_stamp_ns = max(self.newest_stamp_ns, decision.cloud.last_ns)
@@ -80,16 +78,23 @@ class Decider:
         self._publish_event(encode_event(done))
         return True
 
-    def _place(self, proposal: IntegrationEvent) -> Event:
-        """Apply a decision. A cloud that there is no memory for ends as `overload`: the map is as it was before it, and
+    def _place(self, proposal: IntegrationEvent) -> IntegrationEvent:
+        """Apply a decision and log the event. Readers wait only for the change itself: what it takes from the disk is
+        in memory by then. A cloud that there is no memory for ends as `overload`: the map is as it was before it, and
         no replay, which may have the memory, places it either."""
         cloud = self._state.clouds[proposal.input]
-        try:
-            return self._state.apply(proposal)
-        except MemoryError:
+        with ExitStack() as held:
+            try:
+                change = self._state.prepare(proposal, self._view.reading)
+                held.enter_context(self._view.change())
+                done = change()
+            except MemoryError:
+                self._state.take_cloud(proposal.input, cloud)
+                done = self._state.prepare(proposal.model_copy(update={"outcome": CloudReason.OVERLOAD}))()
+            self._log_event(done)
+        if done.outcome == CloudReason.OVERLOAD != proposal.outcome:
             log.error("input %d: no memory to place its cloud", proposal.input)
-            self._state.take_cloud(proposal.input, cloud)
-            return self._state.apply(proposal.model_copy(update={"outcome": CloudReason.OVERLOAD}))
+        return done
 
 
 def _proposal(decision: Decision, state: RunState) -> IntegrationEvent:

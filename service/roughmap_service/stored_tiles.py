@@ -1,8 +1,9 @@
 """The tiles of a map.db, taken from it when they are first needed."""
 
 import sqlite3
-import threading
-from contextlib import closing
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,34 +56,50 @@ def damaged(store: Store, why: str) -> DamagedStore:
 
 
 class StoredTiles:
-    """Reads the records of tiles, by their number in the index; any thread may."""
+    """Reads the records of tiles, by their number in the index; any thread may, and none waits for another.
+
+    Each read has a connection to itself: there are as many as were ever needed at once, at most one a thread.
+    """
 
     def __init__(self, store: Store) -> None:
         self.index = read_index(store)
         self.store = store
-        self._lock = threading.Lock()
-        self._db: sqlite3.Connection | None = None
+        self._idle: deque[sqlite3.Connection] = deque()
+        self._closed = False
 
     def read(self, number: int, records: Records) -> None:
         """Fill (4096,) zeroed records. StoreError names a tile that is damaged, or is no longer the indexed one."""
         index = self.index
         tx, ty = int(index.tx[number]), int(index.ty[number])
         try:
-            with self._lock:  # readers wait for each other here, for the time of one small read
-                if self._db is None:
-                    self._db = self.store.open_reading(check_same_thread=False)
-                row = self._db.execute("SELECT records FROM tiles WHERE tx = ? AND ty = ?", (tx, ty)).fetchone()
+            with self._connection() as db:
+                row = db.execute("SELECT records FROM tiles WHERE tx = ? AND ty = ?", (tx, ty)).fetchone()
         except READ_ERRORS as error:
             raise read_error(self.store.path, error) from None
         blob = None if row is None else row[0]
         copy_known_rows(self.store.unpacked(tx, ty, index.digest[number].tobytes(), blob), records)
 
+    @contextmanager
+    def _connection(self) -> Iterator[sqlite3.Connection]:
+        """One that is idle, or another."""
+        try:
+            db = self._idle.pop()  # a deque's ends are safe from any thread
+        except IndexError:
+            db = self.store.open_reading(check_same_thread=False)
+            db.execute("PRAGMA cache_size = -64")  # KiB: a tile is read once, and 2 MiB of its pages would stay
+        try:
+            yield db
+        finally:
+            self._idle.append(db)
+            if self._closed:
+                self.close()
+
     def close(self) -> None:
-        """Let go of the file."""
-        with self._lock:
-            if self._db is not None:
-                with closing(self._db):
-                    self._db = None
+        """Let go of the file; of what is being read right now, when that is done."""
+        self._closed = True
+        with suppress(IndexError):
+            while True:
+                self._idle.pop().close()
 
 
 def set_index(rough_map: RoughMap, cut: Cut, stored: StoredTiles, places: I4) -> None:

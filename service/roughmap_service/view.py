@@ -24,8 +24,9 @@ class Standing:
 class View:
     """The map behind its one lock.
 
-    The sequencer changes the map inside `change`; a reader pins what it needs inside the lock and reads it afterwards
-    without any lock, while the map goes on. It waits at most for the rest of one scan's integration, or for other
+    The sequencer prepares a change without it, brings tiles into memory before, and changes the map inside `change`; a
+    reader pins what it needs inside the lock and reads it afterwards without any, while the map goes on. So nobody is
+    at a disk inside the lock. A reader waits at most for the rest of one scan's update of cells, or for other
     readers; a few tiles are pinned in some 50 us, the whole map in time that grows with it. Who waits for the lock gets
     it before the next change begins, however fast these follow each other.
     """

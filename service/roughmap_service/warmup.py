@@ -9,7 +9,7 @@ from roughmap.index import rehash
 from roughmap.memory import SlotPool
 from roughmap_schemas import Config, decode_cloud, encode_cloud
 
-from .apply import integrate
+from .apply import prepare
 from .logs import note
 from .poses import Pose
 from .settings import Settings, new_map
@@ -56,7 +56,7 @@ def _run(config: Config, stop: threading.Event) -> None:
             cloud = decode_cloud(payload, max_message=LIMIT, max_points=LIMIT)
             # While part of the map is frozen for a reader, what is written to is copied: that has its kernel too.
             with rough_map.freeze():
-                integrate(rough_map, robot, cloud, line, settings)
+                rough_map.integrate(prepare(rough_map, robot, cloud, line, settings))
         rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height", "confidence_level", "traversability"], level=0)
         rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height"], level=config.map.levels - 1)
         rough_map.digest()

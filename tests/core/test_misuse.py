@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from strategies import SECOND_NS, state_of
 
-from roughmap import Limits, Noise, RoughMap, Scan, Trajectory
+from roughmap import CELL_DTYPE, Limits, Noise, RoughMap, Scan, Trajectory
 
 END_NS = 2**32 * SECOND_NS
 S = np.eye(3) * 1e-4
@@ -57,6 +57,24 @@ def test_add(m: RoughMap, name: str) -> None:
     before = state_of(m)
     with pytest.raises(ValueError, match=message):
         call(m)
+    assert state_of(m) == before
+
+
+SINCE: dict[str, Callable[[RoughMap], Any]] = {
+    "done already": lambda m: m.add(ONE, S),
+    "another prepared": lambda m: m.prepare(ONE, S),
+    "emptied": lambda m: m.reset(),
+    "a tile loaded": lambda m: m.load_tile(50, 50, np.ones(4096, CELL_DTYPE), 0, 0),
+}
+
+
+@pytest.mark.parametrize("name", SINCE)
+def test_what_was_prepared_for_another_state(m: RoughMap, name: str) -> None:
+    prepared = m.prepare(ONE * 2, S)
+    SINCE[name](m)
+    before = state_of(m)
+    with pytest.raises(ValueError, match="expected what was prepared last"):
+        m.integrate(prepared)
     assert state_of(m) == before
 
 

@@ -178,8 +178,10 @@ class Run:
 
     def event(self, proposal: Event) -> Event:
         """Apply an event and log how it came out."""
+        integration = isinstance(proposal, IntegrationEvent)
+        change = self.state.prepare(proposal, self.view.reading) if integration else lambda: self.state.apply(proposal)
         with self.view.change():
-            event = self.state.apply(proposal)
+            event = change()
             self.view.epoch = self.state.epoch
         self.log_event(event)
         return event

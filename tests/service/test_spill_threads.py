@@ -1,11 +1,14 @@
 """One writer, its tiles leaving memory, readers and snapshots at once: every reading is of one moment, whole."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from service_tools import WAIT_S
 
 from roughmap import RoughMap
@@ -29,6 +32,21 @@ def ground(seed: int) -> np.ndarray:
     return np.column_stack([x, y, 0.1 * x + rng.normal(0, 0.02, 200)])
 
 
+class Watched(View):
+    """Knows which thread holds its lock."""
+
+    holder = 0
+
+    @contextmanager
+    def _held(self) -> Iterator[None]:
+        with super()._held():
+            self.holder = threading.get_ident()
+            try:
+                yield
+            finally:
+                self.holder = 0
+
+
 class Moments:
     """The digest of the map at every (epoch, sequence), as its writer saw it; and what was seen by others."""
 
@@ -43,11 +61,14 @@ def write(view: View, memory: Memory, moments: Moments) -> None:
     """Scans, now and then a reset; what can leave leaves in between. It waits for readers now and then."""
     for seed in range(SCANS):
         memory.relieve(view.reading)
-        with view.change() as rough_map:
-            if seed % 40 == 39:
+        if seed % 40 == 39:
+            with view.change() as rough_map:
                 rough_map.reset()
                 view.epoch += 1
-            rough_map.add(ground(seed), np.eye(3) * 0.02**2, seed * 10**9)
+                moments.true[view.epoch, rough_map.sequence] = rough_map.digest()
+        prepared = view.map.prepare(ground(seed), np.eye(3) * 0.02**2, seed * 10**9, hold=view.reading)
+        with view.change() as rough_map:
+            rough_map.integrate(prepared)
             moments.true[view.epoch, rough_map.sequence] = rough_map.digest()
         if seed % 10 == 0:
             assert moments.looked.acquire(timeout=WAIT_S)
@@ -78,7 +99,10 @@ def store_cuts(view: View, moments: Moments, store: Store, cut: Callable[[int, i
         moments.looked.release()
 
 
-def test_readers_and_snapshots_see_whole_moments_while_tiles_come_and_go(tmp_path: Path) -> None:
+def test_readers_and_snapshots_see_whole_moments_while_tiles_come_and_go(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And whoever reads or writes the spill file holds nobody up."""
     moments, store = Moments(), Store(tmp_path / "map.db")
 
     def cut(epoch: int, sequence: int) -> Cut:
@@ -87,7 +111,18 @@ def test_readers_and_snapshots_see_whole_moments_while_tiles_come_and_go(tmp_pat
     with Spill(tmp_path / "tiles", 1000 * SLOT_BYTES) as spill:
         rough_map = RoughMap(threads=1, shelf=spill)
         rough_map.limit_cache(4 * SLOT_BYTES)
-        view = View(rough_map, 1)
+        view = Watched(rough_map, 1)
+        at_the_file = []
+
+        def watched(act: Callable[..., Any]) -> Callable[..., Any]:
+            def watch(*args: Any) -> Any:
+                at_the_file.append(view.holder == threading.get_ident())
+                return act(*args)
+
+            return watch
+
+        monkeypatch.setattr(spill, "read", watched(spill.read))
+        monkeypatch.setattr(spill, "write", watched(spill.write))
         memory = Memory(RESIDENT * SLOT_BYTES, spill, measure=lambda: view.map.resident_tiles * SLOT_BYTES)
         with view.change():
             rough_map.add(ground(999), np.eye(3) * 0.02**2, 0)
@@ -107,6 +142,8 @@ def test_readers_and_snapshots_see_whole_moments_while_tiles_come_and_go(tmp_pat
         with view.change():
             rough_map.reset()
         assert spill.used == 0, "all that readers held is given back"
+    assert len(at_the_file) > SCANS
+    assert not any(at_the_file), "under the view's lock"
     assert len({moment for moment, _ in moments.seen}) > 10
     for moment, digest in moments.seen:
         assert digest == moments.true[moment]

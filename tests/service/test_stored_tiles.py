@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from service_tools import WAIT_S, Run, cloud, config
+from spill_tools import leave
 
 from roughmap import RoughMap
 from roughmap.layers import LAYERS
@@ -69,14 +70,6 @@ def begun(logs: Path, store: Store) -> Run:
         run.checkpoint()
         run.snapshot()
     return run
-
-
-def leave(m: RoughMap) -> int:
-    """Take out of memory what may leave."""
-    eviction = m.spill(10**6)
-    eviction.write()
-    eviction.close()
-    return eviction.number
 
 
 def seen(m: RoughMap) -> list[Any]:

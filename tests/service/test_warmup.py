@@ -17,7 +17,7 @@ import roughmap.memory
 import roughmap.place
 from roughmap_schemas import Config, decode_cloud, encode_cloud
 from roughmap_service import warmup
-from roughmap_service.apply import integrate
+from roughmap_service.apply import prepare
 from roughmap_service.poses import Pose
 from roughmap_service.settings import Settings, new_map
 from roughmap_service.warmup import UNTURNED, warm_up
@@ -59,7 +59,7 @@ def test_no_cloud_finds_a_kernel_uncompiled(model: str) -> None:
             cloud = decode_cloud(payload, max_message=1 << 20, max_points=1 << 20)
             layouts.add((dtype, cloud.points.flags.aligned, cloud.points.flags.c_contiguous))
             with rough_map.freeze():
-                integrate(rough_map, "", cloud, line, settings)
+                rough_map.integrate(prepare(rough_map, "", cloud, line, settings))
     assert {aligned for _, aligned, _ in layouts} == {True, False}, "both kinds came by"
     assert {packed for _, _, packed in layouts} == {True, False}, "and with other fields between"
     assert compiled() == before

@@ -1,0 +1,67 @@
+"""A map whose tiles leave memory for a file, and what is seen of it."""
+
+import errno
+import os
+from collections.abc import Sequence
+
+import numpy as np
+
+from roughmap import RoughMap
+from roughmap_service.spill import Spill
+
+S = np.diag([0.03, 0.03, 0.02]) ** 2
+FAR = [[1001.0, 1.0, 0.0]]
+
+
+def ground(seed: int, number: int = 600, reach: float = 18.0) -> np.ndarray:
+    """(number, 3) on a slope with bumps, over up to 6 x 6 tiles."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(-reach, reach, (2, number))
+    return np.column_stack([x, y, 0.1 * x + 0.2 * np.sin(y) + rng.normal(0, 0.02, number)])
+
+
+def filled(spill: Spill | None = None) -> RoughMap:
+    rough_map = RoughMap(levels=4, threads=1, shelf=spill)
+    for seed in range(3):
+        rough_map.add(ground(seed), S, (5 + seed) * 10**9)
+    return rough_map
+
+
+def leave(rough_map: RoughMap, number: int = 10**6) -> int:
+    """Take tiles out of memory; how many left. What the last call wrote stays."""
+    before = rough_map.resident_tiles
+    eviction = rough_map.spill(number)
+    try:
+        eviction.write()
+    finally:
+        eviction.close()
+    return before - rough_map.resident_tiles
+
+
+def leave_all(rough_map: RoughMap) -> None:
+    """All but one far tile, which the last call wrote."""
+    rough_map.add(FAR, S, 10**9)
+    leave(rough_map)
+    assert rough_map.resident_tiles == 1
+
+
+def tiles_of(rough_map: RoughMap, level: int = 0) -> dict[tuple[int, int], tuple[bytes, int, tuple[int, int]]]:
+    """Records, sequences and stamps."""
+    with rough_map.freeze(level) as frozen:
+        return {
+            (x, y): (frozen.records(x, y).tobytes(), int(sequence), frozen.stamps(x, y))
+            for (x, y), sequence in zip(frozen.tiles.tolist(), frozen.sequences, strict=True)
+        }
+
+
+class Disk:
+    """A disk that is full when it is told so."""
+
+    def __init__(self) -> None:
+        self.left = 10**9
+
+    def write(self, file: int, parts: Sequence[memoryview], offset: int) -> int:
+        if self.left <= 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self.left -= 1
+        return os.pwritev(file, parts, offset)

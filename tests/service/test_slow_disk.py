@@ -1,0 +1,197 @@
+"""A disk that takes its time over a tile, in the spill file or in the store: only who needs that tile waits for it."""
+
+import os
+import sqlite3
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from net import WAIT_S, Gathered, wait_for
+from service_tools import T0, Run, cloud, config
+from spill_tools import leave
+
+from roughmap.memory import SLOT_BYTES
+from roughmap_schemas import IntegrationEvent, decode_event
+from roughmap_service.counters import Counters
+from roughmap_service.emptied import Emptied
+from roughmap_service.intake import InputMessage, Intake
+from roughmap_service.log_file import Kind
+from roughmap_service.memory import Memory
+from roughmap_service.reading import Reader
+from roughmap_service.recovery import recover
+from roughmap_service.replay import replay
+from roughmap_service.sequencer import Intervals, Sequencer
+from roughmap_service.spill import Spill
+from roughmap_service.status import Progress, Status
+from roughmap_service.store import Store
+from roughmap_service.tile_reply import Identity
+
+NEAR, FAR, FARTHER, FARTHEST = 0, 10, 20, 30
+"""Tiles, each alone: the first is in memory, the others are not."""
+
+
+class Disk:
+    """Once told to, it stops at the next tile that it shall read, until it is let ``go``; at all others it does not."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.stopped, self.go = threading.Event(), threading.Event()
+        self._stop = threading.Semaphore(0)
+        disk, preadv = self, os.preadv
+
+        def read(*args: Any) -> int:
+            disk._pass()
+            return preadv(*args)
+
+        class Connection(sqlite3.Connection):
+            def execute(self, sql: str, *args: Any) -> sqlite3.Cursor:
+                if sql.startswith("SELECT records"):
+                    disk._pass()
+                return super().execute(sql, *args)
+
+        monkeypatch.setattr(os, "preadv", read)
+        monkeypatch.setattr(sqlite3, "connect", partial(sqlite3.connect, factory=Connection))
+
+    def stop(self) -> None:
+        self._stop.release()
+
+    def _pass(self) -> None:
+        if self._stop.acquire(blocking=False):
+            self.stopped.set()
+            wait_for(self.go, "the disk to be let go")
+
+
+def points_in(*tiles: int, t: float = 1.0) -> bytes:
+    """A cloud with a point in each of these tiles."""
+    return cloud(t, frame="map", points=np.array([[6.4 * x + 3.2, 3.2, t + x] for x in tiles]))
+
+
+class Service:
+    """The sequencer of a run, and readers of its map."""
+
+    def __init__(self, disk: Disk, run: Run, spill: Spill, stack: ExitStack) -> None:
+        self.disk, self.run, self.map = disk, run, run.state.map
+        self.decided: Gathered[IntegrationEvent] = Gathered()
+        self.digests = {x: d.tobytes().hex() for x, d in zip(*self.map.tile_digests()[::2], strict=True)}
+        self._intake, counters = Intake(1 << 20, Counters()), Counters()
+        identity = Identity("site", run.run, "0" * 32, "0" * 32, "map")
+        self._reader = Reader(run.view, run.keys, run.config, identity, Emptied(1000))
+        self.status = Status(run.view, counters, run.config, identity, "1", Progress)
+        self._taken = 0
+        self._memory = Memory(1 << 20, spill, measure=lambda: self._taken)
+        self._sequencer = Sequencer(
+            run.state, run.view, run.writer, self._intake, counters, self._memory, run.duplicates, run.keys,
+            Intervals(3600.0, 3600.0), publish_event=self._hear, take_snapshot=lambda: None,
+            before_reset=lambda _: None,
+        )  # fmt: skip
+        self._pool = stack.enter_context(ThreadPoolExecutor(4))
+        stack.callback(lambda: self._sequencer.stop(WAIT_S))
+        stack.callback(disk.go.set)  # whatever fails, nobody is left standing there
+        self._sequencer.start([])
+
+    def _hear(self, event: bytes) -> None:
+        decoded = decode_event(event)
+        if isinstance(decoded, IntegrationEvent):
+            self.decided(decoded)
+
+    def send(self, payload: bytes) -> None:
+        self._intake.put(InputMessage(Kind.POINTS, "rover", payload, T0, time.monotonic()))
+
+    def leave(self) -> None:
+        """Memory is short until all tiles have left that can."""
+
+        def relieve() -> None:
+            self._taken = 1 << 40
+            self._memory.relieve(self.run.view.reading)
+            self._taken = 0
+
+        self._sequencer.call(relieve, WAIT_S)
+
+    def beside(self, work: Callable[[], Any]) -> Future[Any]:
+        return self._pool.submit(work)
+
+    def tell(self, *tiles: int) -> int:
+        """Ask for these tiles as a planner does; how many came."""
+        sent: list[object] = []
+        for x in tiles:
+            self._reader.tiles(f"maps/site/tiles/0/{x}/0", "layers=count").answer(lambda *reply: sent.append(reply))
+        return len(sent)
+
+    def digest(self, tile: int) -> str:
+        """Of the tile's bytes."""
+        with self.run.view.freeze() as (frozen, _):
+            return frozen.digest(tile, 0)
+
+
+@contextmanager
+def serving(where: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
+    """With all tiles but the near one in the spill file or in the store. The run's replay must come out equal."""
+    store = Store(folder / "map.db")
+    if where == "store":
+        with Run(folder / "log", store=store) as before:
+            before.put(Kind.POINTS, points_in(FAR, FARTHER, FARTHEST))
+            before.decide()
+            before.checkpoint()
+            before.snapshot()
+    disk = Disk(monkeypatch)
+    with ExitStack() as stack:
+        spill = stack.enter_context(Spill(folder / "tiles.spill", 100 * SLOT_BYTES))
+        recovered = recover(config(), folder / "log", store, memory=Memory(1 << 40, spill))
+        run = stack.enter_context(Run(folder / "log", recovered=recovered, store=store, spill=spill))
+        if where == "spill":
+            run.put(Kind.POINTS, points_in(FAR, FARTHER, FARTHEST))
+            run.decide()
+        run.put(Kind.POINTS, points_in(NEAR))
+        run.decide()
+        leave(run.state.map)
+        assert (run.state.map.resident_tiles, spill.used) == (1, 3)
+        yield Service(disk, run, spill, stack)
+    assert replay([folder / "log"]).state.map.digest() == run.state.map.digest()
+
+
+@pytest.fixture(params=["spill", "store"])
+def service(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
+    with serving(request.param, tmp_path, monkeypatch) as made:
+        yield made
+
+
+def test_while_the_writer_waits_for_the_disk_all_are_answered(service: Service) -> None:
+    sequence = service.map.sequence
+    service.disk.stop()
+    service.send(points_in(NEAR, FAR, t=2.0))
+    wait_for(service.disk.stopped, "the cloud to need its tile")
+    # From memory, from the disk, of the map itself; of what the cloud will change, as it was.
+    assert service.beside(lambda: service.tell(NEAR, FARTHER)).result(WAIT_S) == 2
+    assert service.beside(lambda: service.digest(FARTHEST)).result(WAIT_S) == service.digests[FARTHEST]
+    assert service.beside(lambda: service.digest(FAR)).result(WAIT_S) == service.digests[FAR]
+    assert service.beside(service.status).result(WAIT_S).sequence == sequence
+    assert not service.decided.items
+    service.disk.go.set()
+    (event,) = service.decided.wait(lambda events: len(events) == 1, "the cloud")
+    assert (event.accepted, event.sequence) == (2, sequence + 1)
+    assert service.beside(lambda: service.digest(FAR)).result(WAIT_S) != service.digests[FAR]
+
+
+def test_while_a_reader_waits_for_the_disk_the_map_and_other_readers_go_on(service: Service) -> None:
+    """Also when its tile comes back, changes and leaves again meanwhile."""
+    service.disk.stop()
+    waiting = service.beside(lambda: service.digest(FAR))
+    wait_for(service.disk.stopped, "the reader to need its tile")
+    service.send(points_in(FAR, FARTHER, t=2.0))
+    service.decided.wait(lambda events: len(events) == 1, "a cloud on tiles of the disk")
+    assert service.beside(lambda: service.tell(NEAR, FAR, FARTHEST)).result(WAIT_S) == 3
+    service.send(points_in(NEAR, t=3.0))
+    service.decided.wait(lambda events: len(events) == 2, "a cloud on a tile in memory")
+    service.leave()
+    assert service.map.resident_tiles == 1
+    assert service.beside(lambda: service.digest(FARTHEST)).result(WAIT_S) == service.digests[FARTHEST]
+    assert service.beside(lambda: service.digest(FAR)).result(WAIT_S) != service.digests[FAR]
+    assert not waiting.done()
+    service.disk.go.set()
+    assert waiting.result(WAIT_S) == service.digests[FAR]
