@@ -89,7 +89,7 @@ class RunState:
 
         The points are placed, and the tiles that they touch brought into memory: for ``hold`` see `RoughMap.prepare`.
         """
-        cloud = self.clouds.pop(event.input, None)
+        cloud = self.clouds.get(event.input)
         if cloud is None:
             raise RunError(f"an event names input {event.input}, which is no undecided cloud of this log")
         outcome: str = event.outcome
@@ -112,6 +112,7 @@ class RunState:
 
         def change() -> IntegrationEvent:
             self.map.integrate(prepared)
+            del self.clouds[event.input]  # here, with the map held: who sees none waiting sees a map with all of them
             return event.model_copy(
                 update={
                     "epoch": self.epoch,

@@ -82,14 +82,12 @@ class Decider:
         """Apply a decision and log the event. Readers wait only for the change itself: what it takes from the disk is
         in memory by then. A cloud that there is no memory for ends as `overload`: the map is as it was before it, and
         no replay, which may have the memory, places it either."""
-        cloud = self._state.clouds[proposal.input]
         with ExitStack() as held:
             try:
                 change = self._state.prepare(proposal, self._view.reading)
                 held.enter_context(self._view.change())
                 done = change()
             except MemoryError:
-                self._state.take_cloud(proposal.input, cloud)
                 done = self._state.prepare(proposal.model_copy(update={"outcome": CloudReason.OVERLOAD}))()
             self._log_event(done)
         if done.outcome == CloudReason.OVERLOAD != proposal.outcome:
