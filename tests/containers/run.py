@@ -196,7 +196,7 @@ def backed_up(engine: Engine, covered: Covered) -> None:
     until("a snapshot is stored", lambda: lines(engine, service, "snapshot"))
     copy = (
         'umask 027 && python -c \'import sqlite3 as s; s.connect("/data/map.db").backup(s.connect("/backup/map.db"))\''
-        " && cp -r /data/log /backup/"
+        " && mkdir /backup/log && cp /data/log/*.mcap /backup/log/"
     )
     data, volume = f"{service.removesuffix('-map')}-data", engine.volume("backup")
     with TemporaryDirectory(prefix="roughmap-") as folder:

@@ -24,7 +24,8 @@ def zenoh_access(loaded: LoadedConfig) -> list[Finding]:
         return [Finding("security", "wrong", str(error), "mend the file or the setting that is named")]
     mend = "use tls/ endpoints with certificates, stay on 127.0.0.1, or start with --insecure if the network is guarded"
     findings = [Finding("security", "wrong", f"zenoh.{text}", mend) for text in exposures(config)]
-    findings += [Finding("security", "note", text) for text in weaknesses(config)]
+    kept = "use tls/ with certificates (SECURITY.md), or keep the network closed"
+    findings += [Finding("security", "note", text, kept) for text in weaknesses(config)]
     if not findings:
         findings = [Finding("security", "ok", "the Zenoh session lets in nobody beyond this machine without TLS")]
     return findings + certificates(config, datetime.now(UTC))
@@ -41,7 +42,7 @@ def http_access(http: HttpConfig) -> Finding | None:
     if token is None:
         if is_loopback(http.listen.rpartition(":")[0]):
             return None
-        mend = "give one in http.token_file or ROUGHMAP_HTTP__TOKEN, or listen on 127.0.0.1"
+        mend = "give one in http.token_file or ROUGHMAP_HTTP__TOKEN, listen on 127.0.0.1, or --insecure if guarded"
         return Finding("security", "wrong", f"http.listen: {http.listen} is open to the network, without a token", mend)
     if len(token) < LEAST_TOKEN:
         return Finding("security", "note", f"the http token has {len(token)} bytes", "openssl rand -hex 16 makes one")
