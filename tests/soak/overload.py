@@ -36,12 +36,13 @@ LOG_QUEUE = 32 * MIB
 
 SETTINGS: dict[str, dict[str, object]] = {
     "map": {"memory_limit": LIMIT, "cell_size": 0.05, "min_share": 0.0},
-    "input": {"queue_limit": QUEUE, "max_message": QUEUE},
+    "input": {"queue_limit": QUEUE, "max_message": QUEUE, "max_wait": 5.0},
     "log": {"queue_limit": LOG_QUEUE, "max_file_bytes": 64 * MIB, "keep": 256 * MIB},
     "sensors": {"lidar": {"range_sigma": 0.12}},
 }
 """A wide error body over small cells: a point costs over a microsecond, so that the integration is what can't keep up,
-and not the disk or whoever publishes."""
+and not the disk or whoever publishes. What publishes may be held up for seconds where the machine does much else:
+between a scan and its next pose, too."""
 
 FIRST_HZ = 50.0
 """Scans a second with which the search for the rate that can be integrated begins, doubled."""
