@@ -158,9 +158,11 @@ def _run(
         snapshots = Snapshots(store, view, writer, stored, keep=config.log.keep, spill=memory.spill)
         intake = Intake(config.input.queue_limit, counters, config.input.pose_queue)
         events = session.declare_publisher(
-            keys.events, encoding=json_encoding("Event"), congestion_control=zenoh.CongestionControl.DROP
-        )
-        # DROP: events are in the log, and a reader that stalls must not hold up the sequencer.
+            keys.events, encoding=json_encoding("Event"), congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.DATA_HIGH,
+        )  # fmt: skip
+        # DROP: events are in the log, and a reader that stalls must not hold up the sequencer. A priority of their own:
+        # who waits for room in a link's queue of one priority, as updates and replies do, has all others wait.
 
         def publish(event: bytes) -> None:
             try:

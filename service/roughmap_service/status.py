@@ -155,12 +155,14 @@ class StatusPublisher:
             try:
                 status = self._status()
                 overload.watch(status)
-                # DROP: the next status makes up for a lost one, and a reader that stalls must not hold it up.
+                # DROP: the next status makes up for a lost one, and a reader that stalls must not hold it up; with the
+                # events' priority, in whose queue nobody waits for room.
                 self._session.put(
                     self._key,
                     model_bytes(status),
                     encoding=encoding,
                     congestion_control=zenoh.CongestionControl.DROP,
+                    priority=zenoh.Priority.DATA_HIGH,
                 )
             except Exception:  # whoever watches would take silence for a dead service
                 if self._session.is_closed():

@@ -26,6 +26,9 @@ ASKED = 15
 DROPPED = 600
 """Scans of the flooding robot that are dropped before it ends: seconds of it."""
 
+STUCK, ENOUGH = 20, 600
+"""So many scans in a row without an update, which come at 20 Hz otherwise; by the last one the link has been let go."""
+
 TILES = 12
 """A side of the square that each scan of the quiet robot touches, in tiles: 144 tiles, so that an update is large."""
 
@@ -84,6 +87,26 @@ def test_a_subscriber_that_stops_reading(tmp_path: Path) -> None:
                 assert status.clouds.accepted == SCANS + 1
                 assert status.health == "ok"
                 assert not status.refused.get("busy")
+        assert service.stop() == 0, service.err
+
+
+def test_the_map_goes_on_while_a_subscriber_is_stuck(tmp_path: Path) -> None:
+    """Until its link is let go, tile updates wait for it; scans, receipts and events don't."""
+    with Service(tmp_path, updates={"update_hz": 20.0}) as service, connected(service) as feed:
+        updates: Gathered[None] = Gathered()
+        with zenoh.open(peer_config(connect=service.ready()["endpoints"])) as other, rude("listen", service) as stopped:
+            other.declare_subscriber("maps/site/updates/**", lambda _: updates(None))
+            hand_in(feed, 0)
+            updates.wait(lambda came: len(came) >= TILES**2, "the first updates")
+            stopped.send_signal(signal.SIGSTOP)
+            seen, since = 0, 0
+            for number in range(1, ENOUGH):
+                hand_in(feed, number)
+                since = since + 1 if len(updates.items) == seen else 0
+                seen = len(updates.items)
+                if since == STUCK:
+                    break
+        assert since == STUCK, "no scan came in while updates were stuck"
         assert service.stop() == 0, service.err
 
 
