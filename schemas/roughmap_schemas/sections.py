@@ -256,9 +256,13 @@ class LogConfig(Section):
     flush_interval: Positive = 0.2
     checkpoint_interval: Positive = 1.0
     max_file_bytes: Size = 1 << 30
+    """A file of this size ends, which is looked at between messages: it may be larger by what comes at once, a few
+    hundred messages, or with ``updates = "grids"`` all tiles that changed in a round."""
     max_file_age: Positive = 3600.0
     keep: Annotated[Size | None, MaybeNone] = None
-    """Bytes of closed files to keep; none keeps all."""
+    """Bytes that the directory's log files may take, of all runs, the one that is written to among them, and what a
+    repair put beside them (``.torn``, ``.behind``); none keeps all. After a snapshot the oldest are deleted, none that
+    it needs; so between two snapshots there may be more."""
     updates: Literal["records", "grids", "none"] = "records"
     queries: bool = True
     queue_limit: Size = 128 << 20

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -98,6 +99,10 @@ class Mark:
         if record.kind is Kind.EVENTS:
             return Mark(self.input, self.record + 1, record.epoch, record.sequence)
         return self
+
+
+FILE_NAME = re.compile(r"roughmap-(?P<run>[0-9a-f]{32})-\d{6,}\.mcap")
+"""Names of files that may be ours."""
 
 
 def file_name(run: str, index: int) -> str:

@@ -1,40 +1,65 @@
 """Deleting the log's oldest files, where the configuration bounds what is kept."""
 
 import logging
+import re
+from itertools import chain
 from pathlib import Path
 
 from .disk import sync_directory
+from .log_file import FILE_NAME
 from .log_reader import LogError, read_metadata
 from .store import Cut
 
 log = logging.getLogger(__name__)
 
+OURS = re.compile(rf"({FILE_NAME.pattern})(\.torn|\.behind)?")
+"""Files of the log, and what a repair put beside them (`log_repair`)."""
 
-def delete_oldest(directory: Path, cut: Cut, keep: int) -> list[Path]:
-    """Delete whole closed files of the cut's run, oldest first, until those left hold at most ``keep`` bytes.
 
-    The committed snapshot of ``cut`` needs what lies after its record, and its undecided clouds; a file with any of
-    that stays, and so do the file that is written to now and all files of other runs. Returns what was deleted.
-    OSError from the disk.
+def delete_oldest(current: Path, cut: Cut, keep: int) -> list[Path]:
+    """Delete whole files of ours beside ``current``, the one that is written to, until all hold at most ``keep`` bytes.
+
+    The oldest run goes first, the cut's last, and a run's files in the order in which they were written; what a repair
+    put beside a file goes after it. The committed snapshot of ``cut`` needs what lies after its record, and its
+    undecided clouds: deleting ends at a file with any of that. Returns what was deleted. OSError from the disk.
     """
-    files = sorted(directory.glob(f"roughmap-{cut.run}-*.mcap"))
-    sizes = [file.stat().st_size for file in files[:-1]]
+    runs: dict[str, list[Path]] = {}
+    for path in sorted(current.parent.iterdir()):
+        if match := OURS.fullmatch(path.name):
+            runs.setdefault(match["run"], []).append(path)
+    sizes = {path: path.stat().st_size for path in chain(*runs.values())}
+    excess = sum(sizes.values()) - keep
     deleted: list[Path] = []
-    for file, after, size in zip(files, files[1:], sizes, strict=False):
-        if sum(sizes[len(deleted) :]) <= keep or not _spares(after, cut):
+    if excess <= 0:
+        return deleted
+    own = runs.pop(cut.run, [])
+    for path in chain(*sorted(runs.values(), key=_begun), own):
+        if excess <= 0 or path == current or (path in own and not _spared(path, own, cut)):
             break
-        file.unlink()
-        deleted.append(file)
-        log.info("%s (%d bytes) was deleted: log.keep is %d", file.name, size, keep)
+        path.unlink()
+        excess -= sizes[path]
+        deleted.append(path)
+        log.info("%s (%d bytes) was deleted: log.keep is %d", path.name, sizes[path], keep)
     if deleted:
-        sync_directory(directory)
+        sync_directory(current.parent)
     return deleted
 
 
-def _spares(after: Path, cut: Cut) -> bool:
-    """Whether all that the cut needs lies in the file ``after`` or behind it."""
+def _begun(files: list[Path]) -> int:
+    """When a run began, in ns: as its first file says, or else the disk. Names don't tell: a run's is random."""
     try:
-        first = read_metadata(after)
+        return read_metadata(files[0]).created_ns
+    except (LogError, OSError):
+        return files[0].stat().st_mtime_ns
+
+
+def _spared(path: Path, own: list[Path], cut: Cut) -> bool:
+    """Whether all that the cut needs lies behind the file ``path`` of its run."""
+    if path.suffix != ".mcap":
+        return True
+    after = next((file for file in own if file > path and file.suffix == ".mcap"), None)
+    try:
+        first = None if after is None else read_metadata(after)
     except LogError:
         return False
-    return first.first_record <= cut.record + 1 and first.first_input <= cut.low_water
+    return first is not None and first.first_record <= cut.record + 1 and first.first_input <= cut.low_water

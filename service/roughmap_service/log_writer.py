@@ -169,8 +169,9 @@ class LogWriter:
     def wants_rotation(self) -> bool:
         """The file has reached its size or its age, and nobody asked yet for its end."""
         age = time.monotonic() - self._file.opened
-        due = self._length >= self._max_file_bytes or age >= self._max_file_age
-        return due and self.ok and not self._rotating
+        with self._wake:  # what is held goes into this file, and may be much of it, since the disk syncs once a second
+            due = self._length + self._held >= self._max_file_bytes or age >= self._max_file_age
+            return due and self.ok and not self._rotating
 
     def look(self) -> None:
         """Look whether the disk still answers: if it hangs, the log counts as one that can't be written until it does.
@@ -250,13 +251,13 @@ class LogWriter:
     def _sync(self) -> None:
         begun = time.monotonic()
         self._answered(begun)
-        self._length = self._file.sync()
+        length = self._file.sync()
         self._last_flush = self._last_sync = time.monotonic()
         self._answered(self._last_sync)
         self._on_sync(self._last_sync - begun)
         self._synced = self._mark
         done, self._unsynced = self._unsynced, []
-        self._release(done)
+        self._release(done, length)
         for item in done:
             if isinstance(item, Sync):
                 try:
@@ -273,8 +274,9 @@ class LogWriter:
                 self._wake.notify_all()
             note(log, logging.WARNING, "recovered", f"the log's disk answers again: {self.path}", always=True)
 
-    def _release(self, items: list[Item]) -> None:
+    def _release(self, items: list[Item], length: int | None = None) -> None:
         with self._wake:
+            self._length = self._length if length is None else length
             self._held -= sum(_cost(item) for item in items)
             self._rotating -= sum(isinstance(item, Rotate) for item in items)
             self._wake.notify_all()

@@ -2,7 +2,6 @@
 
 import contextlib
 import logging
-import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
@@ -15,7 +14,7 @@ from roughmap_schemas import Config, IntegrationEvent, ResetEvent, configuration
 from .apply import RunError, RunState
 from .fold import fold
 from .ingest import Duplicates
-from .log_file import Kind
+from .log_file import FILE_NAME, Kind
 from .log_reader import (
     DamagedLog,
     FileStart,
@@ -38,9 +37,6 @@ from .store import Cut, DamagedStore, OtherStateVersion, Store, StoreError
 from .stored_tiles import StoredTiles, set_index
 
 log = logging.getLogger(__name__)
-
-FILE_NAME = re.compile(r"roughmap-[0-9a-f]{32}-\d{6,}\.mcap")
-"""Files that may be ours; see `log_file.file_name`."""
 
 
 class Stopped(Exception):

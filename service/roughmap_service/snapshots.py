@@ -184,6 +184,6 @@ class Snapshots:
         if self._keep is None:
             return
         try:
-            delete_oldest(self._writer.path.parent, cut, self._keep)
+            delete_oldest(self._writer.path, cut, self._keep)
         except OSError as error:
             log.error("the log's oldest files could not be deleted: %s", error)

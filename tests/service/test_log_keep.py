@@ -1,93 +1,103 @@
-"""Old files of the log go when a snapshot is committed, and never one that a start would need."""
+"""`log.keep`: the oldest files go first, over all runs of the directory; what is needed or foreign never goes."""
 
 from pathlib import Path
 
 import pytest
-from service_tools import Run, cloud, config, odometry
+from service_tools import SECOND, T0, WAIT_S, Run, metadata
 
-from roughmap_schemas import Config
-from roughmap_service.log_file import Kind
-from roughmap_service.recovery import recover
-from roughmap_service.store import Store
-
-
-@pytest.fixture
-def logs(tmp_path: Path) -> Path:
-    return tmp_path / "log"
+from roughmap_service.log_file import Kind, LogRecord
+from roughmap_service.log_keep import delete_oldest
+from roughmap_service.log_reader import find_files
+from roughmap_service.log_writer import LogWriter, Rotate
+from roughmap_service.snapshots import cut_of
+from roughmap_service.store import Cut
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "map.db")
-
-
-def kept(store: Store, size: int = 1) -> Config:
-    return config(log={"keep": size}, store={"path": str(store.path)})
-
-
-def indexes(logs: Path) -> list[int]:
-    return sorted(int(path.stem[-6:]) for path in logs.glob("*.mcap"))
-
-
-def drive(run: Run, first: int, files: int = 2) -> None:
-    """A scan a file."""
-    for n in range(first, first + files):
-        run.scan(float(n))
+def three_files(run: Run) -> Cut:
+    """Two scans, each with a file, and the file that is written to; where the run stands then."""
+    for t in range(2):
+        run.scan(float(t))
         run.rotate()
+    assert run.writer.wait_synced(WAIT_S)
+    return cut_of(run.run, run.config, run.state, run.inbox, run.duplicates)
 
 
-def test_each_snapshot_deletes_what_lies_before_it(logs: Path, store: Store) -> None:
-    with Run(logs, kept(store), store=store) as run:
-        drive(run, 0)
-        assert run.writer.wait_synced(30.0)
-        assert indexes(logs) == [0, 1, 2]
-        run.snapshot()
-        assert indexes(logs) == [2], "the file that is written to stays"
-        drive(run, 2)
-        run.snapshot()
-        assert indexes(logs) == [4]
-        run.scan(9.0)
-    assert recover(kept(store), logs, store).state.map.digest() == run.state.map.digest()
+@pytest.mark.parametrize(("keep", "left"), [(0, 1), (1 << 40, 3)])
+def test_keep_deletes_oldest_files_that_the_cut_spares(tmp_path: Path, keep: int, left: int) -> None:
+    with Run(tmp_path) as run:
+        cut = three_files(run)
+        delete_oldest(run.writer.path, cut, keep)
+        assert len(find_files([tmp_path])) == left
 
 
-def test_an_undecided_cloud_keeps_its_file_and_all_behind(logs: Path, store: Store) -> None:
-    with Run(logs, kept(store), store=store) as run:
-        drive(run, 0, 1)
-        waiting = run.put(Kind.POINTS, cloud(50.0), "slow")
-        drive(run, 1)
-        run.snapshot()
-        assert indexes(logs) == [1, 2, 3]
-        back = recover(kept(store), run.killed(logs.with_name("left")), store)
-        assert [number for number, _, _ in back.undecided] == [waiting]
-        run.put(Kind.ODOMETRY, odometry(50.0), "slow")
-        assert [event.input for event in run.decide()] == [waiting]
-        run.snapshot()
-        assert indexes(logs) == [3]
+def test_what_the_cut_needs_stays_and_other_runs_do_not(tmp_path: Path) -> None:
+    with Run(tmp_path) as old:
+        three_files(old)
+    with Run(tmp_path, created_ns=T0 + SECOND) as run:
+        early = cut_of(run.run, run.config, run.state, run.inbox, run.duplicates)
+        three_files(run)
+        delete_oldest(run.writer.path, early, 0)
+        assert [file.metadata.run for file in find_files([tmp_path])] == [run.run] * 3
 
 
-def test_as_many_bytes_as_the_configuration_says(logs: Path, store: Store) -> None:
-    with Run(logs, kept(store, 1 << 30), store=store) as run:
-        drive(run, 0, 3)
-        run.snapshot()
-        assert indexes(logs) == [0, 1, 2, 3]
-        sizes = [path.stat().st_size for path in sorted(logs.glob("*.mcap"))]
-    with Run(logs, kept(store, sizes[1] + sizes[2]), recovered=recover(kept(store), logs, store), store=store) as again:
-        again.rotate()
-        again.snapshot()
-        closed = sorted(logs.glob("*.mcap"))[:-1]
-        assert sum(path.stat().st_size for path in closed) <= sizes[1] + sizes[2]
-        assert closed, "and no more than that goes"
-        again.scan(20.0)
-    assert recover(kept(store), logs, store).state.map.digest() == again.state.map.digest()
+def test_runs_go_by_their_age_and_not_by_their_names(tmp_path: Path) -> None:
+    """Each of three names is the oldest run's once."""
+    names = sorted(f"{digit}" * 32 for digit in "5af")
+    for ages in ((0, 1, 2), (2, 1, 0), (1, 2, 0)):
+        directory = tmp_path / str(ages)
+        files: dict[int, list[Path]] = {}
+        for age in range(3):
+            run = Run(directory, created_ns=T0 + age * SECOND)
+            with run:
+                cut = three_files(run)
+                current = run.writer.path
+            own = sorted(directory.glob(f"roughmap-{run.run}-*.mcap"))
+            name = names[ages[age]]
+            files[age] = [path.rename(directory / path.name.replace(run.run, name)) for path in own]
+            current, cut = files[age][-1], cut_of(name, run.config, run.state, run.inbox, run.duplicates)
+        spared = sum(path.stat().st_size for path in files[1][1:] + files[2])
+        assert delete_oldest(current, cut, spared) == [*files[0], files[1][0]]
+        assert delete_oldest(current, cut, 0) == [*files[1][1:], *files[2][:2]]
+        assert list(directory.iterdir()) == [current]
 
 
-def test_without_a_bound_all_stays(logs: Path, store: Store) -> None:
-    with Run(logs, config(store={"path": str(store.path)}), store=store) as run:
-        drive(run, 0)
-        run.snapshot()
-    assert indexes(logs) == [0, 1, 2]
+def test_what_a_repair_left_goes_with_its_file_and_what_is_foreign_stays(tmp_path: Path) -> None:
+    foreign = [tmp_path / name for name in ("walk.mcap", "roughmap-notes.mcap", "roughmap-5.mcap.torn")]
+    for path in foreign:
+        path.write_bytes(bytes(1 << 16))
+    unread = tmp_path / f"roughmap-{'0' * 32}-000000.mcap"  # of which only its name tells that it is ours
+    unread.write_bytes(b"damaged")
+    with Run(tmp_path) as run:
+        cut = three_files(run)
+        first = tmp_path / f"roughmap-{run.run}-000000.mcap"
+        behind, torn = (first.with_name(first.name + end) for end in (".behind", ".torn"))
+        for path in (behind, torn):
+            path.write_bytes(bytes(1 << 16))
+        total = sum(path.stat().st_size for path in tmp_path.glob(f"roughmap-{run.run}*"))
+        gone = delete_oldest(run.writer.path, cut, total - first.stat().st_size - 1)
+        assert [path for path in gone if path != unread] == [first, behind]
+        delete_oldest(run.writer.path, cut, 0)
+        assert {*tmp_path.iterdir()} == {*foreign, run.writer.path}
 
 
-def test_without_a_store_it_is_no_setting() -> None:
-    with pytest.raises(ValueError, match=r"log\.keep"):
-        config(log={"keep": 1000})
+def test_a_file_that_cannot_go_ends_it(tmp_path: Path) -> None:
+    """A later one would leave a gap."""
+    with Run(tmp_path) as run:
+        cut = three_files(run)
+        second = tmp_path / f"roughmap-{run.run}-000001.mcap"
+        second.write_bytes(b"damaged")
+        assert delete_oldest(run.writer.path, cut, 0) == []
+
+
+def test_a_file_is_full_by_what_is_held_for_it_too(tmp_path: Path) -> None:
+    """The disk is asked to keep all once a second only: a second's messages would come on top."""
+    with LogWriter(tmp_path, metadata(), max_file_bytes=1 << 20) as writer:
+        assert not writer.wants_rotation()
+        writer.put(LogRecord(Kind.QUERIES, "maps/site/queries", bytes(1 << 20), T0, T0))
+        assert writer.wants_rotation(), "before the disk was asked"
+        assert writer.wait_synced(WAIT_S)
+        assert writer.wants_rotation()
+        writer.put(Rotate(""))
+        assert not writer.wants_rotation(), "it is asked for"
+        assert writer.wait_synced(WAIT_S)
+        assert not writer.wants_rotation(), "the next file is empty"

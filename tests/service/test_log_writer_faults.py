@@ -12,9 +12,6 @@ from service_tools import WAIT_S, Run, events_of, inputs_of, read_back, starts_o
 
 from roughmap_service import log_writer
 from roughmap_service.log_file import Kind, LogRecord
-from roughmap_service.log_keep import delete_oldest
-from roughmap_service.log_reader import find_files
-from roughmap_service.snapshots import cut_of
 
 
 class FullDisk(io.FileIO):
@@ -102,16 +99,3 @@ def test_a_disk_that_hangs_is_one_that_cannot_be_written(
     told = [record.event for record in caplog.records if record.name == log_writer.__name__]  # type: ignore[attr-defined]
     assert told == ["degraded", *(["degraded"] if broken else []), "recovered"]
     assert [item.number for item in inputs_of(read_back(tmp_path))] == list(range(1, 7))
-
-
-@pytest.mark.parametrize(("keep", "left"), [(0, 1), (1 << 40, 3)])
-def test_keep_deletes_oldest_files_that_the_cut_spares(tmp_path: Path, keep: int, left: int) -> None:
-    with Run(tmp_path) as run:
-        for t in range(2):
-            run.scan(float(t))
-            run.rotate()
-        assert run.writer.wait_synced(WAIT_S)
-        early = cut_of("0" * 32, run.config, run.state, run.inbox, run.duplicates)
-        assert delete_oldest(tmp_path, early, 0) == [], "files of another run are not its business"
-        delete_oldest(tmp_path, cut_of(run.run, run.config, run.state, run.inbox, run.duplicates), keep)
-        assert len(find_files([tmp_path])) == left
