@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Final
 
 from roughmap_schemas.faults import ConfigFault, MessageFault, QueryFault
@@ -34,6 +35,9 @@ TEMPLATES: Final[Mapping[str, str]] = {
     "queries": "maps/{map}/queries",
 }
 """Every key expression and its default. ``queries`` is a topic of the log only."""
+
+INGEST: Final = ("points", "odometry", "transform")
+"""Kinds of messages that are handed in as requests."""
 
 _FILLED: Final[Mapping[str, frozenset[str]]] = {
     name: frozenset(re.findall(r"\{(\w+)\}", template)) - {"map"} for name, template in TEMPLATES.items()
@@ -114,9 +118,7 @@ class Keys:
         self.points_any = self._forms["points"].any()
         self.odometry_any = self._forms["odometry"].any()
         self.transform_any = self._forms["transform"].any()
-        self.ingest_points_any = self._forms["ingest_points"].any()
-        self.ingest_odometry_any = self._forms["ingest_odometry"].any()
-        self.ingest_transform_any = self._forms["ingest_transform"].any()
+        self.ingest_any = self._ingest_any()
         self.tiles_any = self._forms["tiles"].any()
         self.updates_any = self._forms["updates"].any()
         self.alive_any = self._forms["alive"].any()
@@ -171,25 +173,37 @@ class Keys:
         """Give the key under which a cloud is handed in for a receipt."""
         return self._forms["ingest_points"].make(robot=robot)
 
-    def parse_ingest_points(self, key: str) -> str:
-        """Give the robot of an ingested cloud's key; ``MessageFault`` (``bad_key``) if it is none."""
-        return self._robot("ingest_points", key)
-
     def ingest_odometry(self, robot: str) -> str:
         """Give the key under which a pose is handed in for a receipt."""
         return self._forms["ingest_odometry"].make(robot=robot)
-
-    def parse_ingest_odometry(self, key: str) -> str:
-        """Give the robot of an ingested pose's key; ``MessageFault`` (``bad_key``) if it is none."""
-        return self._robot("ingest_odometry", key)
 
     def ingest_transform(self, robot: str) -> str:
         """Give the key under which a transform is handed in for a receipt."""
         return self._forms["ingest_transform"].make(robot=robot)
 
-    def parse_ingest_transform(self, key: str) -> str:
-        """Give the robot of an ingested transform's key; ``MessageFault`` (``bad_key``) if it is none."""
-        return self._robot("ingest_transform", key)
+    def parse_ingest(self, key: str) -> tuple[str, str]:
+        """Give kind (of ``INGEST``) and robot of a request's key; ``MessageFault`` (``bad_key``) if it is none."""
+        forms = {kind: self._forms[f"ingest_{kind}"] for kind in INGEST}
+        for kind, form in forms.items():
+            values = form.parse(key)
+            if values is not None and NAME.fullmatch(values["robot"]):
+                return kind, values["robot"]
+        expected = ", ".join(form.make(robot="{robot}") for form in forms.values())
+        raise MessageFault(
+            Refusal.BAD_KEY,
+            f"expected one of {expected} with a robot's name ({NAME_PATTERN}), no wildcard; found {key[:200]!r}",
+        )
+
+    def _ingest_any(self) -> list[str]:
+        """Give one key expression over all keys that begin as those of requests do, so that a mistyped one meets it;
+        one a kind where other keys begin so too, or the three have no common beginning."""
+        forms = [self._forms[f"ingest_{kind}"] for kind in INGEST]
+        columns = zip(*(form.chunks for form in forms), strict=False)
+        begin = [chunks[0] for chunks in takewhile(lambda c: len({*c}) == 1 and not c[0].startswith("{"), columns)]
+        others = [form.chunks[: len(begin)] for form in self._forms.values() if form not in forms]
+        if any(all(c == b or c.startswith("{") for c, b in zip(chunks, begin, strict=False)) for chunks in others):
+            return [form.any() for form in forms]
+        return ["/".join((*begin, "**"))]
 
     # Outputs --------------------------------------------------------------------------------------------------------
 

@@ -209,6 +209,7 @@ class ZenohInputs:
     def __init__(
         self, session: zenoh.Session, keys: Keys, intake: Intake, replies: Replies, max_message: int, counters: Counters
     ) -> None:
+        self._keys = keys
         self._intake = intake
         self._replies = replies
         self._max_message = max_message
@@ -222,12 +223,8 @@ class ZenohInputs:
         ):
             handler = zenoh.handlers.Callback(self._sample_handler(kind, parse), indirect=False)
             self._undeclare.append(session.declare_subscriber(key, handler).undeclare)
-        for kind, key, parse in (
-            (Kind.POINTS, keys.ingest_points_any, keys.parse_ingest_points),
-            (Kind.ODOMETRY, keys.ingest_odometry_any, keys.parse_ingest_odometry),
-            (Kind.TRANSFORM, keys.ingest_transform_any, keys.parse_ingest_transform),
-        ):
-            answer = zenoh.handlers.Callback(self._query_handler(kind, parse), indirect=False)
+        answer = zenoh.handlers.Callback(self._answer, indirect=False)
+        for key in keys.ingest_any:
             self._undeclare.append(session.declare_queryable(key, answer, complete=True).undeclare)
 
     def __enter__(self) -> Self:
@@ -256,22 +253,19 @@ class ZenohInputs:
 
         return handle
 
-    def _query_handler(self, kind: Kind, parse: Callable[[str], str]) -> Callable[[zenoh.Query], None]:
-        def handle(query: zenoh.Query) -> None:
-            reply, robot = IngestReply(query, self._replies), OTHERS
-            try:
-                robot = parse(str(query.key_expr))
-                payload = query.payload
-                if payload is None:
-                    raise MessageFault(Refusal.BAD_MESSAGE, "expected the message as the request's payload, found none")
-                self._check(kind, str(query.encoding or ""), payload)
-            except MessageFault as fault:
-                refuse(self._counters, robot, fault)
-                reply.refuse(fault)
-                return
-            self._intake.put(InputMessage(kind, robot, payload.to_bytes(), time.time_ns(), time.monotonic(), reply))
-
-        return handle
+    def _answer(self, query: zenoh.Query) -> None:
+        reply, robot = IngestReply(query, self._replies), OTHERS
+        try:
+            name, robot = self._keys.parse_ingest(str(query.key_expr))
+            kind, payload = Kind(name), query.payload
+            if payload is None:
+                raise MessageFault(Refusal.BAD_MESSAGE, "expected the message as the request's payload, found none")
+            self._check(kind, str(query.encoding or ""), payload)
+        except MessageFault as fault:
+            refuse(self._counters, robot, fault)
+            reply.refuse(fault)
+            return
+        self._intake.put(InputMessage(kind, robot, payload.to_bytes(), time.time_ns(), time.monotonic(), reply))
 
     def _check(self, kind: Kind, encoding: str, payload: zenoh.ZBytes) -> None:
         check_encoding(encoding, ENCODINGS[kind])

@@ -130,15 +130,15 @@ def keys(payload: bytes) -> None:
         (KEYS.parse_points, KEYS.points),
         (KEYS.parse_odometry, KEYS.odometry),
         (KEYS.parse_transform, KEYS.transform),
-        (KEYS.parse_ingest_points, KEYS.ingest_points),
-        (KEYS.parse_ingest_odometry, KEYS.ingest_odometry),
-        (KEYS.parse_ingest_transform, KEYS.ingest_transform),
     )
     for parse, make in robots:
         with contextlib.suppress(MessageFault):
             robot = parse(key)
             assert 1 <= len(robot) <= 64
             assert make(robot) == key
+    with contextlib.suppress(MessageFault):
+        kind, robot = KEYS.parse_ingest(key)
+        assert KEYS.form(f"ingest_{kind}").make(robot=robot) == key
     KEYS.parse_alive(key)
     with contextlib.suppress(ContractError):
         Keys(key[:64], {"points": key})

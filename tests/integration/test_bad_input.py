@@ -131,19 +131,34 @@ def test_another_encoding(both: Running) -> None:
     assert after.input == before.input
 
 
+MISTYPED = (
+    "*/points",
+    "**",
+    "rover/foo",
+    "rover/trajectory",
+    "rover/points/x",
+    "a/b/odometry",
+    "no!name/points",
+    "points",
+)
+"""Behind ``maps/site/ingest/``: each is told what keys there are, once."""
+
+
 def test_wildcard_keys_deletes_and_empty_requests(both: Running) -> None:
     _, feed = both
     before = feed.settle()
     feed.put("points", "*", GOOD)
     feed.session.delete("robots/rover/points")
     for key, payload, code in (
-        ("maps/site/ingest/*/points", GOOD, "bad_key"),
+        *((f"maps/site/ingest/{key}", GOOD, "bad_key") for key in MISTYPED),
         ("maps/site/ingest/rover/points", None, "bad_message"),
     ):
         (error,) = ask(feed.session, key, timeout=30.0, payload=payload).errors
-        assert QueryError.model_validate_json(error[0]).code == code
+        told = QueryError.model_validate_json(error[0])
+        assert told.code == code
+        assert code != "bad_key" or "maps/site/ingest/{robot}/odometry" in told.message
     after = feed.settle()
-    assert after.refused["bad_key"] == before.refused.get("bad_key", 0) + 2  # type: ignore[call-overload, index]
+    assert after.refused["bad_key"] == before.refused.get("bad_key", 0) + 1 + len(MISTYPED)  # type: ignore[call-overload, index]
     assert after.refused["bad_message"] == before.refused.get("bad_message", 0) + 2  # type: ignore[call-overload, index]
     assert after.input == before.input
 

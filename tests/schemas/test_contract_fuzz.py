@@ -124,7 +124,7 @@ def test_any_key(key: str) -> None:
     for parse in (KEYS.parse_tile_selector, KEYS.parse_update):
         with contextlib.suppress(QueryFault):
             parse(key)
-    for parse_robot in (KEYS.parse_points, KEYS.parse_odometry, KEYS.parse_transform, KEYS.parse_ingest_points):
+    for parse_robot in (KEYS.parse_points, KEYS.parse_odometry, KEYS.parse_transform, KEYS.parse_ingest):
         with contextlib.suppress(MessageFault):
             parse_robot(key)
     KEYS.parse_alive(key)

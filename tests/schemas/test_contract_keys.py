@@ -5,8 +5,8 @@ from contract_tools import int32s, many, names
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roughmap_schemas import ConfigFault, Keys, MessageFault, QueryFault
-from roughmap_schemas.keys import TEMPLATES, canonical_number
+from roughmap_schemas import ConfigFault, Keys, MessageFault, QueryFault, Refusal
+from roughmap_schemas.keys import INGEST, TEMPLATES, canonical_number
 
 KEYS = Keys("site")
 INPUTS = ("points", "odometry", "transform", "ingest_points", "ingest_odometry", "ingest_transform")
@@ -44,9 +44,7 @@ def test_the_keys_of_the_contract() -> None:
 def test_the_expressions_over_all() -> None:
     assert (KEYS.points_any, KEYS.odometry_any) == ("robots/*/points", "robots/*/odometry")
     assert (KEYS.transform_any, KEYS.alive_any) == ("robots/*/transform", "maps/site/alive/*")
-    assert KEYS.ingest_points_any == "maps/site/ingest/*/points"
-    assert KEYS.ingest_odometry_any == "maps/site/ingest/*/odometry"
-    assert KEYS.ingest_transform_any == "maps/site/ingest/*/transform"
+    assert KEYS.ingest_any == ["maps/site/ingest/**"]
     assert (KEYS.tiles_any, KEYS.updates_any) == ("maps/site/tiles/*/*/*", "maps/site/updates/*/*/*")
     assert (KEYS.tiles(), KEYS.tiles(0), KEYS.tiles(0, -1)) == (
         "maps/site/tiles/*/*/*",
@@ -55,12 +53,41 @@ def test_the_expressions_over_all() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("templates", "expected"),
+    [
+        ({f"ingest_{kind}": f"in/{{map}}/{kind}/{{robot}}" for kind in INGEST}, ["in/site/**"]),
+        ({"ingest_points": "in/{robot}"}, ["in/*", "maps/site/ingest/*/odometry", "maps/site/ingest/*/transform"]),
+        (
+            {f"ingest_{kind}": f"maps/{{map}}/{{robot}}/{kind}" for kind in INGEST},  # tiles lie beside them
+            [f"maps/site/*/{kind}" for kind in INGEST],
+        ),
+        (
+            {f"ingest_{kind}": f"in/{kind}/{{robot}}" for kind in INGEST} | {"points": "{robot}/points"},
+            [f"in/{kind}/*" for kind in INGEST],
+        ),
+    ],
+)
+def test_the_expressions_over_ingest_keys_take_in_no_others(templates: dict[str, str], expected: list[str]) -> None:
+    assert Keys("site", templates).ingest_any == expected
+
+
+def robot_of(keys: Keys, name: str, key: str) -> str:
+    """The robot in a key of that name."""
+    if not name.startswith("ingest_"):
+        return str(getattr(keys, f"parse_{name}")(key))
+    kind, robot = keys.parse_ingest(key)
+    if f"ingest_{kind}" != name:
+        raise MessageFault(Refusal.BAD_KEY, f"it is of {kind}")
+    return robot
+
+
 @many
 @given(names, names, st.sampled_from([None, CUSTOM]))
 def test_robots_there_and_back(map_name: str, robot: str, templates: dict[str, str] | None) -> None:
     keys = Keys(map_name, templates)
     for name in INPUTS:
-        assert getattr(keys, f"parse_{name}")(getattr(keys, name)(robot)) == robot
+        assert robot_of(keys, name, getattr(keys, name)(robot)) == robot
     assert keys.parse_alive(keys.alive(robot)) == robot
 
 
@@ -80,7 +107,7 @@ def test_a_key_is_of_one_form(map_name: str, robot: str, made: str, read: str) -
     keys = Keys(map_name)
     if made != read:
         with pytest.raises(MessageFault) as caught:
-            getattr(keys, f"parse_{read}")(getattr(keys, made)(robot))
+            robot_of(keys, read, getattr(keys, made)(robot))
         assert caught.value.code == "bad_key"
 
 
@@ -88,7 +115,7 @@ def test_a_key_is_of_one_form(map_name: str, robot: str, made: str, read: str) -
 def test_robots_that_cannot_be(robot: str) -> None:
     for name in INPUTS:
         with pytest.raises(MessageFault) as caught:
-            getattr(KEYS, f"parse_{name}")(getattr(KEYS, name)(robot))
+            robot_of(KEYS, name, getattr(KEYS, name)(robot))
         assert caught.value.code == "bad_key"
         assert "wildcard" in caught.value.message
 
