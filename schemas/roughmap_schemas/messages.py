@@ -31,7 +31,7 @@ Number = Annotated[int, Field(ge=0)]
 class Message(BaseModel):
     """The base of all JSON messages."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
 M = TypeVar("M", bound=Message)
@@ -240,7 +240,8 @@ class MapStatus(Message):
     refused: dict[Refusal, Number]
     """Messages that never reached the log."""
     gaps: dict[str, Number]
-    """Missing message numbers a robot."""
+    """Missing message numbers a robot, of published messages only. Its clouds, poses and transforms count each for
+    themselves (a publisher each), by the attachment of 8 bytes."""
     jumps: dict[str, Number]
     """Jumps of a robot's frame transform."""
     lag_s: Lag

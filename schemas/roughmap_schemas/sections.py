@@ -42,7 +42,7 @@ MAX_MESSAGE_BYTES: Final = 1 << 29
 class Section(BaseModel):
     """The base of all sections."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, use_attribute_docstrings=True)
 
 
 def _known_layers(value: list[str]) -> list[str]:
