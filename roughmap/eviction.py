@@ -10,18 +10,17 @@ from roughmap.tiles import TileTable
 class Eviction:
     """Some tiles on their way to the shelf: chosen under the map's lock, written without it, left behind under it.
 
-    The tiles are those that were not needed for the longest; none that a reader has pinned, which would not be freed,
-    and none that was written by the call which made ``sequence``, which the next call is likely to need.
+    The tiles are those that were not needed for the longest; none that a reader has pinned, which would not be freed.
 
     Attributes:
         number: how many tiles were chosen; fewer than asked for if there are no more, or the shelf has no room.
         short: whether the shelf's room was the reason.
     """
 
-    def __init__(self, table: TileTable, number: int, sequence: int) -> None:
+    def __init__(self, table: TileTable, number: int) -> None:
         slots = table.slot[: table.size]
         resident = np.flatnonzero(slots >= 0)
-        cold = resident[(table.pool.pins[slots[resident]] == 0) & (table.used[resident] < sequence)]
+        cold = resident[table.pool.pins[slots[resident]] == 0]
         number = min(number, len(cold))
         self.short = table.shelf.room < number
         self.number = number = min(number, table.shelf.room)

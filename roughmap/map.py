@@ -330,7 +330,7 @@ class RoughMap:
 
         Under the same lock as the map's other methods; `Eviction.write` then needs none, its `close` does again.
         """
-        return Eviction(self._table, number, self.sequence)
+        return Eviction(self._table, number)
 
     def limit_cache(self, limit: int) -> None:
         """Keep at most so many bytes of merged and read tiles for readers, if that is less than now."""

@@ -27,9 +27,13 @@ def filled(spill: Spill | None = None) -> RoughMap:
     return rough_map
 
 
-def leave(rough_map: RoughMap, number: int = 10**6) -> int:
-    """Take tiles out of memory; how many left. What the last call wrote stays."""
+def leave(rough_map: RoughMap, number: int | None = None) -> int:
+    """Take tiles out of memory (None: all but those that the last call needed); how many left."""
     before = rough_map.resident_tiles
+    if number is None:
+        table = rough_map._table
+        needed = table.used[: table.size] == rough_map.sequence
+        number = before - int(np.count_nonzero(needed & (table.slot[: table.size] >= 0)))
     eviction = rough_map.spill(number)
     try:
         eviction.write()

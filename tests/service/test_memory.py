@@ -44,8 +44,16 @@ def test_what_leaves_memory_is_given_back_to_the_system(spill: Spill) -> None:
     for n in range(201):
         m.add(np.column_stack([cells + np.array([6.4 * n, 0.0]), np.zeros(len(cells))]))
     before = memory_bytes()
-    assert leave(m) == 200
+    assert leave(m, 200) == 200
     assert before - memory_bytes() > 180 * SLOT_BYTES
+
+
+def test_a_scan_of_more_tiles_than_the_limit_does_not_stay(spill: Spill) -> None:
+    m = RoughMap(error_model="point", threads=1, shelf=spill)
+    memory, relieve = pressed(spill, m)
+    m.add([[6.4 * x + 0.1, 0.0, 0.0] for x in range(100)])
+    relieve()
+    assert (m.resident_tiles, m.tile_count, memory.full) == (28, 100, False)
 
 
 def test_where_tiles_cannot_leave_the_memory_says_full_until_they_can(

@@ -78,14 +78,14 @@ def test_whatever_is_done_a_map_that_spills_is_the_map_that_does_not(todo: list[
         assert (spill.used, spill.room) == (0, 1000), "no place is kept for nobody"
 
 
-@pytest.mark.parametrize("number", [15, 10**6])
-def test_readers_see_tiles_that_left_over_borders_and_on_all_levels(spill: Spill, number: int) -> None:
+@pytest.mark.parametrize("number", [15, None])
+def test_readers_see_tiles_that_left_over_borders_and_on_all_levels(spill: Spill, number: int | None) -> None:
     """Some of the neighbours in memory and some not, and all but one not."""
     plain, spilling = filled(), filled(spill)
     for m in (plain, spilling):
         m.add(ground(50, 300, 4.0), S, 10**9)
         m.add(FAR, S, 10**9)
-    assert leave(spilling, number) == min(number, plain.tile_count - 1)
+    assert leave(spilling, number) == (number or plain.tile_count - 1)
     assert read_all(spilling) == read_all(plain)
     for level in range(4):
         assert tiles_of(spilling, level) == tiles_of(plain, level)
@@ -146,7 +146,7 @@ def test_a_tile_that_changes_on_its_way_out_stays(spill: Spill, when: str) -> No
     if when == "before":
         eviction.write()
     eviction.close()
-    assert spilling.resident_tiles == len(changed[0]) + 1
+    assert spilling.resident_tiles == len(changed[0])
     assert tiles_of(spilling) == tiles_of(plain)
     assert spill.used == spilling.tile_count - spilling.resident_tiles
 
