@@ -103,7 +103,10 @@ def has_summary(path: Path) -> bool:
     """Whether a closed file's summary, by which other readers find their way in it, is what was written (its checksum
     says so)."""
     with path.open("rb") as stream:
-        end = stream.seek(-(SUMMARY.size + len(MAGIC)), os.SEEK_END)
+        end = stream.seek(0, os.SEEK_END) - SUMMARY.size - len(MAGIC)
+        if end < 0:
+            return False
+        stream.seek(end)
         start, _, checksum = SUMMARY.unpack(stream.read(SUMMARY.size))
         left, found = end + SUMMARY.size - 4 - stream.seek(min(start, end)), 0
         while left:

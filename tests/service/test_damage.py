@@ -9,7 +9,7 @@ import pytest
 from mcap.opcode import Opcode
 from service_tools import Run, config, inputs_of, read_back
 
-from roughmap_service.log_reader import DamagedLog, LogError, raw_records, read_file
+from roughmap_service.log_reader import MAGIC, DamagedLog, LogError, raw_records, read_file
 from roughmap_service.recovery import Recovered, recover
 from roughmap_service.replay import replay
 from roughmap_service.store import Store, StoreError
@@ -162,6 +162,18 @@ def test_an_index_that_became_a_message_is_damage(logs: Path) -> None:
                 list(read_file(path))
         at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
     assert found
+
+
+@pytest.mark.parametrize("size", [16, 30, 44, 90])
+def test_a_last_file_with_nothing_but_its_ends(logs: Path, size: int) -> None:
+    """As where a power cut kept all pages but two from the disk."""
+    digests = three_files(logs)
+    last = sorted(logs.iterdir())[-1]
+    last.write_bytes(MAGIC.ljust(size - len(MAGIC), b"\0") + MAGIC)
+    back = recover(config(), logs, None)
+    assert back.state.map.digest() == digests[1]
+    assert last.with_name(f"{last.name}.torn").stat().st_size == size
+    goes_on(logs, back)
 
 
 @pytest.mark.parametrize("damaged", [0, 2])
