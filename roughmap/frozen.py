@@ -216,7 +216,7 @@ class Frozen:
             beneath = [self._traversability(z - 1, cx, cy, tolerance, limits) for cx, cy in _children(x, y)]
             return terrain.coarsen_least(beneath)
 
-        return self._cache.get((*self._state(z, x, y, place), tolerance, limits), make)
+        return self._cache.get((*self._state(z, x, y, place), tolerance, limits), make, beneath=z < self.level)
 
     def _means(self, z: int, x: int, y: int) -> F8:
         """The (66, 66) mean heights of a tile with one cell around it, NaN where unknown."""
@@ -245,13 +245,15 @@ class Frozen:
             if slot >= 0:
                 return table.records(slot).reshape(TILE_CELLS, TILE_CELLS)
             return self._cache.get(
-                self._state(z, x, y, place), lambda: table.records(slot).reshape(TILE_CELLS, TILE_CELLS)
+                self._state(z, x, y, place),
+                lambda: table.records(slot).reshape(TILE_CELLS, TILE_CELLS),
+                beneath=z < self.level,
             )
 
         def make() -> Records:
             return levels.merge([self._records(z - 1, cx, cy) for cx, cy in _children(x, y)])
 
-        return self._cache.get(self._state(z, x, y, place), make)
+        return self._cache.get(self._state(z, x, y, place), make, beneath=z < self.level)
 
     def _state(self, z: int, x: int, y: int, place: int) -> tuple[int, ...]:
         """What tells a level tile's state from all others: its cells are as old as its sequence, or older."""

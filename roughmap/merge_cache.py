@@ -22,7 +22,9 @@ class MergeCache:
     its readers, of any thread.
 
     The keys say of which state of the map an entry tells, so nothing is ever outdated; what was not asked for the
-    longest goes first. ``limit`` bounds the bytes of all arrays together.
+    longest goes first, of what lies beneath the level that is read while that takes over half: a tile of level 3 is
+    made of 84 others, which would drive out its neighbours, and each is wanted nine times for slopes. ``limit`` bounds
+    the bytes of all arrays together.
 
     Attributes:
         generation: part of every key; whoever changes cells without raising the map's sequence (a reset, a tile taken
@@ -35,29 +37,32 @@ class MergeCache:
         self.limit = limit
         self.generation = 0
         self.abandoned: deque[tuple[TileTable, npt.NDArray[np.int32]]] = deque()
-        self._arrays: OrderedDict[Key, Array] = OrderedDict()
-        self._bytes = 0
+        self._kept: tuple[OrderedDict[Key, Array], ...] = OrderedDict(), OrderedDict()  # asked for, beneath
+        self._bytes = [0, 0]
         self._lock = threading.Lock()
 
-    def get(self, key: Key, make: Callable[[], Array]) -> Array:
+    def get(self, key: Key, make: Callable[[], Array], *, beneath: bool = False) -> Array:
         """The array kept under ``key``, else what ``make`` returns, which is then kept and must not change any more.
 
-        ``make`` runs outside the lock: two threads may make the same array at once, and one of the two is kept.
+        ``beneath``: it is wanted for one of a level above. ``make`` runs outside the lock: two threads may make the
+        same array at once, and one of the two is kept.
         """
         with self._lock:
-            if key in self._arrays:
-                self._arrays.move_to_end(key)
-                return self._arrays[key]
+            for kept in self._kept:
+                if key in kept:
+                    kept.move_to_end(key)
+                    return kept[key]
         made = make()
         with self._lock:
-            if key not in self._arrays and made.nbytes <= self.limit:
-                self._arrays[key] = made
-                self._bytes += made.nbytes
-            while self._bytes > self.limit:
-                self._bytes -= self._arrays.popitem(last=False)[1].nbytes
+            if not any(key in kept for kept in self._kept) and made.nbytes <= self.limit:
+                self._kept[beneath][key] = made
+                self._bytes[beneath] += made.nbytes
+            while self.nbytes > self.limit:
+                most = self._bytes[True] > self.limit // 2
+                self._bytes[most] -= self._kept[most].popitem(last=False)[1].nbytes
         return made
 
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays kept now."""
-        return self._bytes
+        return sum(self._bytes)

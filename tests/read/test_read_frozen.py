@@ -7,6 +7,7 @@ import pytest
 import xxhash
 from read_tools import TILE_SHAPE, chance_tile
 
+from roughmap import levels
 from roughmap.cell import CELL_DTYPE
 from roughmap.layers import CELL_LAYERS, LAYERS, cell_layers
 from roughmap.map import RoughMap
@@ -342,6 +343,43 @@ def test_the_cache_is_bounded() -> None:
         assert cache.nbytes <= cache.limit
     # 1 had not been asked for the longest when 3 came; then 2 when 1 came again
     assert made == [0, 1, 2, 3, 1]
+
+
+def test_what_lies_beneath_drives_out_nothing_of_the_level() -> None:
+    cache = MergeCache(limit=4 * 4096 * 64)
+    made: list[int] = []
+
+    def get(n: int, *, beneath: bool = False) -> None:
+        cache.get((n,), lambda: made.append(n) or np.zeros(4096, CELL_DTYPE), beneath=beneath)  # type: ignore[func-returns-value]
+        assert cache.nbytes <= cache.limit
+
+    for n in range(10, 14):
+        get(n, beneath=True)
+    for n in (13, 0, 1, 10, 11, 0, 1):  # where nothing else is wanted it has all the room
+        get(n, beneath=n > 1)
+    assert made == [10, 11, 12, 13, 0, 1, 10, 11]
+    for n in (2, 3, 4):  # the level has no more than its half while the other is wanted
+        get(n)
+    for n in (10, 11):
+        get(n, beneath=True)
+    assert made == [10, 11, 12, 13, 0, 1, 10, 11, 2, 3, 4]
+
+
+def test_slopes_merge_each_tile_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With room for far fewer than all of them: a tile's neighbours are wanted again with the next column."""
+    spread = np.arange(16) * 6.4 + 3.2
+    x, y = (axis.ravel() for axis in np.meshgrid(spread, spread))
+    rough_map = RoughMap(error_model="point", levels=3)
+    rough_map.add(np.column_stack([x, y, 0 * x]))
+    rough_map.limit_cache(22 * 4096 * 64)
+    merged: list[int] = []
+    merge = levels.merge
+    monkeypatch.setattr(levels, "merge", lambda children: merged.append(1) or merge(children))  # type: ignore[func-returns-value]
+    with rough_map.freeze(2) as frozen:
+        for tx, ty in frozen.tiles.tolist():
+            frozen.tile_layers(tx, ty, ["slope"])
+        assert len(frozen.tiles) == 16
+    assert len(merged) == 64 + 16
 
 
 def test_what_is_larger_than_the_cache_is_not_kept() -> None:
