@@ -12,7 +12,7 @@ from .store import Cut
 
 log = logging.getLogger(__name__)
 
-OURS = re.compile(rf"({FILE_NAME.pattern})(\.torn|\.behind)?")
+OURS = re.compile(rf"({FILE_NAME.pattern})(\.(torn|behind)(\.\d+)?)?")
 """Files of the log, and what a repair put beside them (`log_repair`)."""
 
 

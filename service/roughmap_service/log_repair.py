@@ -1,6 +1,7 @@
 """Making a file that a kill left without its footer a whole one, before the run goes on."""
 
 import contextlib
+import itertools
 import logging
 import os
 import shutil
@@ -9,7 +10,7 @@ from pathlib import Path
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
-from .disk import made_anew, sync, sync_directory
+from .disk import made_anew, sync_directory
 from .log_file import CHUNK_BYTES, PROFILE
 from .log_reader import (
     DamagedLog,
@@ -30,13 +31,12 @@ def repair(path: Path, *, damaged: bool = False) -> Path | None:
 
     Returns that file's path, or None if there is no rest: the file was closed, or the kill came between two records. A
     file whose beginning was never written holds nothing of the run and becomes the ``.torn`` as a whole. The new file
-    is on the disk before it takes the old one's name, so that a kill in here leaves the one or the other; a closed file
-    is on the disk behind this, too. With ``damaged`` a closed file is rewritten as well.
+    is on the disk before it takes the old one's name, so that a kill in here leaves the one or the other. With
+    ``damaged`` a closed file is rewritten too.
     """
     if is_closed(path) and not damaged:
-        sync(path)  # the kill may have come between the footer and its fsync; what follows must not outlive it
         return None
-    torn = path.with_name(path.name + ".torn")
+    torn = _beside(path, "torn")
     whole = path.with_name(path.name + ".part")
     with made_anew(whole) as stream:
         writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True)
@@ -51,11 +51,13 @@ def repair(path: Path, *, damaged: bool = False) -> Path | None:
         whole.unlink()
     else:
         if over:
-            with path.open("rb") as source, made_anew(torn) as rest:
+            copy = path.with_name(path.name + ".rest")
+            with path.open("rb") as source, made_anew(copy) as rest:
                 source.seek(end)
                 shutil.copyfileobj(source, rest)
                 rest.flush()
                 os.fsync(rest.fileno())
+            copy.rename(torn)
         whole.rename(path)
     sync_directory(path.parent)
     where = f"the rest is in {torn.name}" if over else "nothing was torn"
@@ -79,19 +81,28 @@ def end_at_damage(damage: DamagedLog) -> None:
     except LogError:
         if path == files[0]:
             raise
-        _put_behind(behind)
-        path.rename(path.with_name(path.name + ".torn"))
+        put_behind(behind)
+        path.rename(_beside(path, "torn"))
         sync_directory(path.parent)
         return
     if not (behind and _lacks_nothing(path, behind[0])):
-        _put_behind(behind)
+        put_behind(behind)
     repair(path, damaged=True)
 
 
-def _put_behind(files: list[Path]) -> None:
+def put_behind(files: list[Path]) -> None:
+    """Put files that nothing can be made of beside the log, as ``FILE.behind``."""
     for file in reversed(files):  # a kill in here leaves no gap
-        file.rename(file.with_name(file.name + ".behind"))
-        log.error("%s lies behind a damage, and is %s.behind now", file.name, file.name)
+        kept = file.rename(_beside(file, "behind"))
+        log.error("%s can't be placed in the run, and is %s now", file.name, kept.name)
+    if files:
+        sync_directory(files[0].parent)
+
+
+def _beside(path: Path, kind: str) -> Path:
+    """A name for what is kept of a file, which no earlier repair has taken: a run may come to the same file again."""
+    names = (path.with_name(f"{path.name}.{kind}{f'.{n}' if n else ''}") for n in itertools.count())
+    return next(name for name in names if not name.exists())
 
 
 def _lacks_nothing(damaged: Path, behind: Path) -> bool:

@@ -12,6 +12,7 @@ from pathlib import Path
 from roughmap_schemas import Config, IntegrationEvent, ResetEvent, configuration_digest
 
 from .apply import RunError, RunState
+from .disk import sync
 from .fold import fold
 from .ingest import Duplicates
 from .log_file import FILE_NAME, Kind
@@ -30,13 +31,17 @@ from .log_reader import (
     read_metadata,
     read_run,
 )
-from .log_repair import end_at_damage, repair
+from .log_repair import end_at_damage, put_behind, repair
 from .memory import Memory
 from .settings import Settings, new_map
 from .store import Cut, DamagedStore, OtherStateVersion, Store, StoreError
 from .stored_tiles import StoredTiles, set_index
 
 log = logging.getLogger(__name__)
+
+
+LOST_EPOCHS = 1000
+"""Epochs that may have been told of in what lies behind a damage and can't be read: more than anybody resets."""
 
 
 class Stopped(Exception):
@@ -88,7 +93,9 @@ def recover(
     ended: set[Path] = set()
     while True:
         try:
-            return _recover(config, directory, store, _Watch(progress, stop or threading.Event(), memory))
+            back = _recover(config, directory, store, _Watch(progress, stop or threading.Event(), memory))
+            back.epoch += LOST_EPOCHS if ended else 0
+            return back
         except DamagedLog as damage:
             if damage.path in ended:
                 raise
@@ -127,11 +134,27 @@ def _recover(config: Config, directory: Path, store: Store | None, watch: "_Watc
         raise LogError(f"{directory}: no log to build the store of another version anew from; start with --fresh")
     result, end = _bring_back(config, store, cut, files, watch)
     if cut is not None and files and end < cut.record:
-        log.warning("the log ends at record %d, the store's cut is at %d: the map is that of the log", end, cut.record)
         result.state.map.reset()  # so that it lets go of what it holds outside memory
-        result, _ = _bring_back(config, store, None, files, watch)
+        result = _where_the_store_is_ahead(config, store, cut, files, end, watch)
     if outdated and store is not None:
         store.set_aside("outdated")
+    return result
+
+
+def _where_the_store_is_ahead(
+    config: Config, store: Store | None, cut: Cut, files: list[RunFile], end: int, watch: "_Watch"
+) -> Recovered:
+    """The map of the log, if that reaches back to the run's beginning; else the store's, and the log goes on anew."""
+    told = f"the log ends at record {end}, the store's cut is at {cut.record}"
+    if files[0].metadata.first_record == 1:
+        log.warning("%s: the map is that of the log", told)
+        result, _ = _bring_back(config, store, None, files, watch)
+    else:
+        log.error("%s, and the run's beginning is not there: the map is the store's", told)
+        put_behind([file.path for file in files])
+        result, _ = _bring_back(config, store, cut, [], watch)
+        result.index = files[-1].metadata.index + 1
+    result.epoch = max(result.epoch, cut.epoch + 1, files[-1].metadata.epoch + 1)
     return result
 
 
@@ -234,6 +257,8 @@ def newest_run(directory: Path, cut: Cut | None) -> list[RunFile]:
         if cut is None or not files or not _goes_on(files[0], cut.record, cut.low_water):
             raise fault
         log.error("%s; the store does not need it", fault)
+    # A kill may have come between its footer and the fsync: what follows must not outlive it.
+    sync(files[-1].path)
     return one_run(files)
 
 

@@ -6,6 +6,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from mcap.opcode import Opcode
 from service_tools import Run, config, inputs_of, read_back
 
@@ -193,3 +194,62 @@ def test_a_damage_behind_all_that_a_file_holds_of_the_run(logs: Path, damaged: i
     assert read_back(logs) == whole
     assert {file.name for file in logs.iterdir() if file.suffix != ".mcap"} == {f"{path.name}.torn"}
     goes_on(logs, back)
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["whole run", "its beginning deleted"])
+def test_a_damage_before_the_cut_in_the_cut_s_file(logs: Path, store: Store, whole: bool) -> None:
+    """The log ends before the store: the map is the log's, or, where that can't be had, the store's; epochs rise."""
+    with Run(logs, store=store) as run:
+        run.scan(0.0)
+        run.rotate()
+        first = run.state.map.digest()
+        run.reset()
+        run.scan(1.0)
+        assert run.writer.wait_synced(30.0)
+        run.scan(2.0)
+        run.snapshot()
+        stored = run.state.map.digest()
+        run.scan(3.0)
+        run.checkpoint()
+        epoch = run.state.epoch
+    files = sorted(logs.iterdir())
+    if not whole:
+        files[0].unlink()
+    data = files[1].read_bytes()
+    flip(files[1], data.index(PointCloud.DESCRIPTOR.full_name.encode()) / len(data))
+    back = recover(config(), logs, store)
+    assert back.state.map.digest() == (first if whole else stored)
+    assert back.epoch > epoch
+    kept = f"{files[1].name}.{'torn' if whole else 'behind'}"
+    assert logs.joinpath(kept).exists()
+    with Run(logs, recovered=back, store=store) as run:
+        run.scan(50.0)
+        run.snapshot()
+        after = run.state.map.digest()
+    again = recover(config(), logs, store)
+    assert again.state.map.digest() == after
+    assert again.epoch > back.epoch
+
+
+def test_epochs_rise_where_a_file_that_told_of_one_is_gone(logs: Path, store: Store) -> None:
+    with Run(logs, store=store) as run:
+        run.scan(0.0)
+        run.checkpoint()
+    with Run(logs, recovered=recover(config(), logs, store), store=store) as run:
+        run.scan(1.0)
+        run.snapshot()
+        epoch = run.state.epoch
+    sorted(logs.iterdir())[-1].unlink()
+    assert recover(config(), logs, store).epoch > epoch
+
+
+def test_what_was_kept_of_a_file_stays_when_it_is_damaged_again(logs: Path) -> None:
+    three_files(logs)
+    path = sorted(logs.iterdir())[-1]
+    sizes = []
+    for place in (0.8, 0.7):
+        flip(path, place)
+        recover(config(), logs, None)
+        sizes.append([file.stat().st_size for file in sorted(logs.glob("*.torn*"))])
+    assert len(sizes[1]) == 2
+    assert sizes[0][0] == sizes[1][0]

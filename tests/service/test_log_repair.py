@@ -153,15 +153,17 @@ def test_a_damaged_chunk_ends_what_is_kept(left: Path, tmp_path: Path) -> None:
 
 
 def test_a_kill_within_the_repair_leaves_one_or_the_other(left: Path, tmp_path: Path) -> None:
-    """A half-written new file, and a torn rest that was written while the name was still the old one's."""
+    """A half-written new file, a half-written rest, and the whole rest of an earlier tear of the same file."""
     path = tmp_path / left.name
     path.write_bytes(left.read_bytes()[:-3])
     (tmp_path / (left.name + ".part")).write_bytes(b"half of it")
-    (tmp_path / (left.name + ".torn")).write_bytes(b"the rest, perhaps not all")
+    (tmp_path / (left.name + ".rest")).write_bytes(b"half of the rest")
+    (tmp_path / (left.name + ".torn")).write_bytes(b"of an earlier tear")
     torn = repair(path)
     assert torn is not None
+    assert (tmp_path / (left.name + ".torn")).read_bytes() == b"of an earlier tear"
     assert left.read_bytes()[:-3].endswith(torn.read_bytes())
-    assert sorted(file.name for file in tmp_path.iterdir()) == [left.name, torn.name]
+    assert sorted(file.name for file in tmp_path.iterdir()) == [left.name, f"{left.name}.torn", torn.name]
 
 
 def test_a_repaired_run_replays_as_the_torn_one(left: Path, tmp_path: Path) -> None:
