@@ -29,11 +29,16 @@ RECORD_OVERHEAD = 128
 """Bytes that a queued record costs beside its payload."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Sync:
-    """Asks for all before it to be on the disk; then ``done`` is called from the log's thread and must not block."""
+    """Asks for all before it to be on the disk; then ``done`` is called from the log's thread and must not block.
+
+    Where ``failed`` is given, who asked does not wait for a log that can't be written: as soon as that is seen it is
+    called instead, once, with the cause, from any thread. What was queued before stays queued all the same.
+    """
 
     done: Callable[[], None]
+    failed: Callable[[str], None] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +88,7 @@ class LogWriter:
         self._queue: deque[Item] = deque()
         self._held = 0  # bytes queued or not yet on the disk
         self._stop = False
+        self._impatient: set[Sync] = set()  # those that are told if the log fails first
         self._rotating = 0  # ends of the file that are asked for and not done
         self._unbegun: Path | None = None  # a file of ours whose beginning could not be written
         self._todo: deque[Item] = deque()
@@ -140,10 +146,17 @@ class LogWriter:
     def put(self, item: Item) -> None:
         """Queue an item; it is written after all that was queued before it."""
         with self._wake:
-            self._queue.append(item)
-            self._held += _cost(item)
-            self._rotating += isinstance(item, Rotate)
-            self._wake.notify_all()
+            failed = item.failed if isinstance(item, Sync) else None
+            error = self.error if failed else ""
+            if not error:
+                if isinstance(item, Sync) and failed:
+                    self._impatient.add(item)
+                self._queue.append(item)
+                self._held += _cost(item)
+                self._rotating += isinstance(item, Rotate)
+                self._wake.notify_all()
+        if failed and error:
+            failed(error)
 
     def put_output(self, record: LogRecord) -> bool:
         """Queue an output, which is no part of the run; False if it was dropped, to leave room for what is."""
@@ -259,11 +272,17 @@ class LogWriter:
         done, self._unsynced = self._unsynced, []
         self._release(done, length)
         for item in done:
-            if isinstance(item, Sync):
+            if isinstance(item, Sync) and self._still_waits(item):
                 try:
                     item.done()
                 except Exception:  # the asker's fault: neither the disk's, nor that of those who asked after it
                     log.exception("what was to follow on a sync of the log failed")
+
+    def _still_waits(self, item: Sync) -> bool:
+        with self._wake:
+            waits = item.failed is None or item in self._impatient
+            self._impatient.discard(item)
+            return waits
 
     def _answered(self, asked: float | None) -> None:
         """The disk has done what it was asked; it is asked the next thing at ``asked``, if anything."""
@@ -340,6 +359,11 @@ class LogWriter:
     def _tell_failure(self) -> None:
         text = f"the log can't be written ({self.error}); no cloud is decided until it can"
         note(log, logging.ERROR, "degraded", text, always=True, cause=self.error)
+        with self._wake:
+            told, self._impatient, error = self._impatient, set(), self.error
+        for item in told:
+            if item.failed is not None:
+                item.failed(error)
 
     def _fail(self, error: Exception) -> None:
         told = error.strerror if isinstance(error, OSError) else None

@@ -145,7 +145,7 @@ class Sequencer:
         self._intake.command(run)
         if not done.wait(timeout):
             if not self._writer.ok:
-                raise self._log_fault("; what was asked for may still be done when it can")
+                raise _log_fault(self._writer.error, "; what was asked for may still be done when it can")
             raise ShuttingDown("the sequencer did not come to it in time")
         if raised:
             raise raised[0]
@@ -155,7 +155,7 @@ class Sequencer:
         it comes before all else: while the disk fails, messages are refused, nothing is decided. Call it by `call`."""
         event = ResetEvent(epoch=self.state.epoch + 1, sequence=self.state.map.sequence + 1)
         if not self._writer.wait_room(IDLE_SECONDS):
-            raise self._log_fault()
+            raise _log_fault(self._writer.error)
         self._log_event(event)
         synced = threading.Event()
         self._writer.put(Sync(synced.set))
@@ -216,7 +216,7 @@ class Sequencer:
         self.turned = time.monotonic()
         messages, commands, _ = self._intake.take(0.0)
         for message in messages:
-            self._refuse(message, self._log_fault())
+            self._refuse(message, _log_fault(self._writer.error))
         for command in commands:
             self._intake.command(command)
         self._memory.relieve(self.view.reading)
@@ -240,7 +240,7 @@ class Sequencer:
                 self._acknowledge(message, first, duplicate=True)
                 return
             if not self._writer.ok:
-                raise self._log_fault()
+                raise _log_fault(self._writer.error)
             content = admit(message, self.state.settings, self._robots, self.inbox)
         except MessageFault as fault:
             self._refuse(message, fault)
@@ -266,9 +266,6 @@ class Sequencer:
         while self.inbox.holds_before(robot, horizon):
             if not self.decider.decide():
                 return
-
-    def _log_fault(self, more: str = "") -> MessageFault:
-        return MessageFault(Refusal.LOG_UNAVAILABLE, f"the log can't be written: {self._writer.error}{more}")
 
     def _refuse(self, message: InputMessage, fault: MessageFault) -> None:
         refuse(self._counters, message.robot, fault)
@@ -308,7 +305,8 @@ class Sequencer:
             return
         receipt = Receipt(input=number, epoch=self.state.epoch, durable=True, duplicate=duplicate)
         reply = message.reply
-        self._writer.put(Sync(lambda: reply.receipt(receipt)))
+        kept = "; the message is kept and written first when it can: send the same bytes again for its receipt"
+        self._writer.put(Sync(lambda: reply.receipt(receipt), lambda error: reply.refuse(_log_fault(error, kept))))
 
     def checkpoint(self) -> None:
         """Log the map's digest, if the map changed since the last one."""
@@ -322,3 +320,7 @@ class Sequencer:
     def _log_event(self, event: Event) -> None:
         self.state.record += 1
         self._writer.put(event_record(self._keys.events, event, time.time_ns()))
+
+
+def _log_fault(error: str, more: str = "") -> MessageFault:
+    return MessageFault(Refusal.LOG_UNAVAILABLE, f"the log can't be written: {error}{more}")

@@ -153,6 +153,8 @@ def test_a_log_that_cannot_be_written_for_a_while(tmp_path: Path) -> None:
         resource.prlimit(service.process.pid, resource.RLIMIT_FSIZE, (0, limits[1]))
         late: Gathered[Receipt | str] = Gathered()
         feed.send("points", "r1", placed(1), late)  # the one that meets the fault: kept, and written first
+        assert late.wait(lambda items: len(items) == 1, "its refusal, at once") == ["log_unavailable"]
+        assert feed.refused("points", "r1", placed(1)) == "log_unavailable", "nor the same bytes again"
         states.wait(lambda items: items[-1:] == ["degraded"], "the health to be degraded")
         assert feed.refused("points", "r1", placed(2)) == "log_unavailable"
         feed.put("points", "r1", placed(3))
@@ -163,8 +165,9 @@ def test_a_log_that_cannot_be_written_for_a_while(tmp_path: Path) -> None:
         assert status.sequence <= sequence + 1
         resource.prlimit(service.process.pid, resource.RLIMIT_FSIZE, limits)
         states.wait(lambda items: items[-1:] == ["ok"], "the health to be ok again")
-        (receipt,) = late.wait(lambda items: len(items) == 1, "the receipt that had to wait")
-        assert isinstance(receipt, Receipt)
+        receipt = feed.ingest("points", "r1", placed(1))
+        assert receipt.duplicate
+        assert late.items == ["log_unavailable"], "a request has one answer"
         assert feed.decided(receipt.input).outcome == "integrated"
         assert feed.decided(feed.ingest("points", "r1", placed(2)).input).sequence == sequence + 2
         data = [message.data for message in inputs_in(service.log)]

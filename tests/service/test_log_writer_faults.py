@@ -12,6 +12,7 @@ from service_tools import WAIT_S, Run, events_of, inputs_of, read_back, starts_o
 
 from roughmap_service import log_writer
 from roughmap_service.log_file import Kind, LogRecord
+from roughmap_service.log_writer import Sync
 
 
 class FullDisk(io.FileIO):
@@ -76,6 +77,7 @@ def test_a_disk_that_hangs_is_one_that_cannot_be_written(
 
     monkeypatch.setattr(log_writer, "HANG_SECONDS", 0.0)
     caplog.set_level(logging.INFO)
+    answers: list[str] = []
     output = LogRecord(Kind.QUERIES, "maps/site/queries", b"{}", 0, 0)
     with Run(tmp_path, open_file=open_file) as run:
         run.scan(0.0)
@@ -85,6 +87,7 @@ def test_a_disk_that_hangs_is_one_that_cannot_be_written(
         opened[0].broken = broken
         opened[0].free.clear()
         run.scan(1.0)
+        run.writer.put(Sync(lambda: answers.append("early"), answers.append))
         assert opened[0].asked.wait(WAIT_S)
         assert run.writer.ok, "nobody looked"
         for _ in range(2):
@@ -92,10 +95,13 @@ def test_a_disk_that_hangs_is_one_that_cannot_be_written(
         assert run.writer.error == f"{run.writer.path}: its disk has not answered for 0 s"
         assert not run.writer.wait_room(0.0)
         assert not run.writer.put_output(output)
+        run.writer.put(Sync(lambda: answers.append("late"), answers.append))
+        assert answers == [run.writer.error] * 2, "who waited is told, and who asks now, at once"
         opened[0].free.set()
         assert run.writer.wait_room(WAIT_S)
         assert run.writer.wait_synced(WAIT_S)
         assert (run.writer.ok, run.writer.error, len(opened)) == (True, "", 1 + broken)
+        assert len(answers) == 2, "each was told once"
     told = [record.event for record in caplog.records if record.name == log_writer.__name__]  # type: ignore[attr-defined]
     assert told == ["degraded", *(["degraded"] if broken else []), "recovered"]
     assert [item.number for item in inputs_of(read_back(tmp_path))] == list(range(1, 7))
