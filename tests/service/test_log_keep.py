@@ -70,7 +70,7 @@ def test_what_a_repair_left_goes_with_its_file_and_what_is_foreign_stays(tmp_pat
     with Run(tmp_path) as run:
         cut = three_files(run)
         first = tmp_path / f"roughmap-{run.run}-000000.mcap"
-        behind, torn = (first.with_name(first.name + end) for end in (".behind", ".torn"))
+        behind, torn = (first.with_name(first.name + end) for end in (".behind", ".torn.1"))
         for path in (behind, torn):
             path.write_bytes(bytes(1 << 16))
         total = sum(path.stat().st_size for path in tmp_path.glob(f"roughmap-{run.run}*"))
