@@ -65,8 +65,10 @@ def cell_box(bbox: Iterable[float], cell_size: float) -> CellBox:
     xmin, ymin, xmax, ymax = (value / cell_size for value in box)
     i0, j0 = floor(xmin + CELL_SLACK), floor(ymin + CELL_SLACK)
     i1, j1 = ceil(xmax - CELL_SLACK), ceil(ymax - CELL_SLACK)
-    if not (xmin < xmax and ymin < ymax and i0 < i1 and j0 < j1):
+    if not (xmin < xmax and ymin < ymax):
         raise ValueError(f"the box {box} is empty; expected xmin < xmax and ymin < ymax")
+    if not (i0 < i1 and j0 < j1):
+        raise ValueError(f"the box {box} covers no cell: it is too narrow for cells of {cell_size} m")
     cells = (i1 - i0) * (j1 - j0)
     if cells > MAX_CELLS:
         raise ValueError(f"the box {box} covers {cells} cells of {cell_size} m; expected at most {MAX_CELLS}")

@@ -12,6 +12,9 @@ from roughmap_schemas.reasons import QueryCode, Refusal
 NAME_PATTERN: Final = r"^[A-Za-z0-9_.-]{1,64}\Z"
 """What a map, a robot and a service instance may be called."""
 
+NAME_WORDS: Final = "1 to 64 of the letters A-Z and a-z, digits, '_', '.' and '-'"
+"""The same for a person."""
+
 NAME: Final = re.compile(NAME_PATTERN)
 NUMBER: Final = re.compile(r"-?(?:0|[1-9][0-9]{0,9})")
 """A number in a key, at most ten digits; ``-0`` is taken out by hand."""
@@ -105,7 +108,7 @@ class Keys:
 
     def __init__(self, map_name: str, templates: Mapping[str, str] | None = None) -> None:
         if not NAME.fullmatch(map_name):
-            raise ConfigFault(f"map.name: {map_name[:80]!r} must match {NAME_PATTERN}")
+            raise ConfigFault(f"map.name: {map_name[:80]!r} must be {NAME_WORDS}")
         self.map_name = map_name
         self._forms: dict[str, KeyForm] = {}
         given = {**TEMPLATES, **(templates or {})}
@@ -141,7 +144,7 @@ class Keys:
             expected = self._forms[name].make(robot="{robot}")
             raise MessageFault(
                 Refusal.BAD_KEY,
-                f"expected {expected} with a robot's name ({NAME_PATTERN}), no wildcard; found {key[:200]!r}",
+                f"expected {expected} with a robot's name ({NAME_WORDS}), no wildcard; found {key[:200]!r}",
             )
         return values["robot"]
 
@@ -191,7 +194,7 @@ class Keys:
         expected = ", ".join(form.make(robot="{robot}") for form in forms.values())
         raise MessageFault(
             Refusal.BAD_KEY,
-            f"expected one of {expected} with a robot's name ({NAME_PATTERN}), no wildcard; found {key[:200]!r}",
+            f"expected one of {expected} with a robot's name ({NAME_WORDS}), no wildcard; found {key[:200]!r}",
         )
 
     def _ingest_any(self) -> list[str]:

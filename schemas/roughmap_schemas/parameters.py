@@ -40,8 +40,10 @@ def parse_parameters(text: str) -> dict[str, str]:
             continue
         if name == "bbox" and not equals:  # also ``bbox=``: Zenoh takes the sign of an empty value away
             raise QueryFault(QueryCode.BAD_BBOX, "bbox: expected xmin,ymin,xmax,ymax; found none")
-        if not name or not equals:
-            raise bad("parameters", "name=value joined by ;", part)
+        if name and not equals:  # also ``name=``, as above
+            raise QueryFault(QueryCode.BAD_PARAMETER, f"{name[:80]}: expected {name[:80]}=VALUE; found no value")
+        if not name:
+            raise bad("parameters", "name=value, several with ';' between them", part)
         if any(letter.isspace() for letter in part):
             code = QueryCode.BAD_BBOX if name == "bbox" else QueryCode.BAD_PARAMETER
             raise QueryFault(code, f"{name[:80]}: expected a value without blanks; found {shown(part)}")

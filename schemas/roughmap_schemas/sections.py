@@ -155,10 +155,13 @@ class InputConfig(Section):
     max_message: Size = 64 << 20
     queue_limit: Size = 64 << 20
     duplicates: NotNegativeWhole = 10_000
+    """Messages remembered, so that the same bytes sent again enter the map once; a reset does not forget them, and
+    what was sent before it does not enter the emptied map by being sent again."""
     robots: Annotated[list[Name], Once] = []
     """Who may send; empty: any."""
     max_robots: AtLeastOne = 256
-    """Robots that are heard where ``robots`` names none: each costs a buffer of poses."""
+    """Robots that are heard where ``robots`` names none: each costs a buffer of poses; one more is refused as
+    `unknown_robot`."""
     max_poses: Annotated[int, Field(ge=2), NUMBER] = 20_000
     """Poses kept a robot, whatever ``pose_history``: 10 s at 2 kHz."""
     max_transforms: AtLeastOne = 1_000

@@ -28,7 +28,7 @@ from roughmap_schemas import (
     TileQuery,
     encodings,
 )
-from roughmap_schemas.keys import NAME, NAME_PATTERN
+from roughmap_schemas.keys import NAME, NAME_WORDS
 
 T = TypeVar("T")
 
@@ -238,7 +238,7 @@ class RoughMapClient:
         if kind not in INPUT_ENCODINGS:
             raise BadArgument(f"kind: expected one of {', '.join(INPUT_ENCODINGS)}; found {kind!r}")
         if not NAME.fullmatch(robot):
-            raise BadArgument(f"robot: expected a name that matches {NAME_PATTERN}; found {robot[:80]!r}")
+            raise BadArgument(f"robot: expected a name of {NAME_WORDS}; found {robot[:80]!r}")
         part = self._ask(
             self._keys.form(f"ingest_{kind}").make(robot=robot), "", self._until(timeout), Answer.single,
             payload=message, encoding=INPUT_ENCODINGS[kind], attempt=RECEIPT_S,

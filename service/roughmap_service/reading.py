@@ -252,7 +252,7 @@ class Reader:
         xmin, ymin, xmax, ymax = bbox
         about = max((xmax - xmin) / cell_size, 1.0) * max((ymax - ymin) / cell_size, 1.0)
         if not about <= 2 * self.max_region_cells:  # far too many: also where the numbers overflow
-            raise self._too_many_cells(f"some {about:.3g}")
+            raise self._too_many_cells(f"some {about:,.0f}" if about < 1e15 else "far too many")
         try:
             cells = cell_box(bbox, cell_size)
         except ValueError as error:

@@ -84,6 +84,7 @@ BAD_REGIONS: dict[str, tuple[tuple[Any, ...], dict[str, Any], str]] = {
     "without end": (((0.0, 0.0, np.inf, 1.0), ["range"]), {}, "finite"),
     "empty": (((0.0, 0.0, 0.0, 1.0), ["range"]), {}, "empty"),
     "upside down": (((0.0, 1.0, 1.0, 0.0), ["range"]), {}, "empty"),
+    "narrower than the slack": (((0.0, 0.0, 1e-9, 1.0), ["range"]), {}, "covers no cell: .* cells of 0.1 m"),
     "three numbers": (((0.0, 0.0, 1.0), ["range"]), {}, "four"),
     "more than 2^26 cells": (((0.0, 0.0, 819.2, 819.3), ["range"]), {}, "67108864"),
     "an unknown layer": ((BOX, ["height"]), {}, "height"),

@@ -70,9 +70,12 @@ def test_a_signal_ends_it_in_order(tmp_path: Path, number: signal.Signals) -> No
 
 def test_a_second_service_of_the_same_map_does_not_start(service: Service, tmp_path: Path) -> None:
     ready = service.ready()
-    code, said = refused(tmp_path, zenoh={"connect": ready["endpoints"]})
-    assert code == 2
-    assert f"map 'site' is served already, by maps/site/alive/{ready['instance']}" in said
+    with Service(tmp_path, zenoh={"connect": ready["endpoints"]}) as second:
+        assert second.finished(60.0) == 2
+        assert f"map 'site' is served already, by maps/site/alive/{ready['instance']}" in second.err[-1]
+        (waiting,) = [line for line in second.err if "seems to be served already" in line]
+        assert ready["instance"] in waiting
+        assert "waiting at most 0.2 s for it to go" in waiting, "said before, not only at the end"
 
 
 def test_another_map_beside_it_does_start(service: Service, tmp_path: Path) -> None:

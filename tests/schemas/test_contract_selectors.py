@@ -85,7 +85,7 @@ CASES = [
     ("unknown_parameter", "Layers=range", "Layers"),
     ("bad_parameter", "layers=range;layers=range", "twice"),
     ("bad_parameter", "dtype=f4;_a=1;dtype=f8", "twice"),
-    ("bad_parameter", "layers", "name=value"),
+    ("bad_parameter", "layers", "layers: expected layers=VALUE; found no value"),
     ("bad_parameter", "=1", "name=value"),
     ("bad_parameter", ";", "name=value"),
     ("bad_parameter", "dtype=f4;", "name=value"),
