@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 from roughmap_schemas.config import Config, without_secrets
 from roughmap_schemas.faults import ConfigFault
 from roughmap_schemas.keys import TEMPLATES
+from roughmap_schemas.values import LEAST
 
 DEFAULT_FILE: Final = Path("roughmap.toml")
 PREFIX: Final = "ROUGHMAP_"
@@ -185,6 +186,7 @@ def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> s
     parts = tuple(str(part) for part in first["loc"] if part != "[key]")
     dotted = ".".join(parts)
     text = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    text = text.replace(f"{LEAST:.30f}", f"{LEAST:g}")  # as pydantic writes it, and as a person reads it
     if first["type"] == "extra_forbidden":
         allowed = _allowed(parts[:-1])
         text = f"unknown key{_meant(parts[-1], allowed)} (allowed: {', '.join(allowed)})"
@@ -198,7 +200,8 @@ def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> s
     elif first["type"] == "string_pattern_mismatch":
         text = f"must match {text.partition(' pattern ')[2]}; found {_found(first['input'], parts[0] if parts else '')}"
     elif first["type"] in ("model_type", "dict_type"):
-        text = f"must be a table; found {_found(first['input'], parts[0] if parts else '')}"
+        how = f" (its values one by one, as {dotted}.NAME=VALUE)" if isinstance(first["input"], str) else ""
+        text = f"must be a table{how}; found {_found(first['input'], parts[0] if parts else '')}"
     elif dotted and not text.startswith(f"{dotted}.") and "found" not in text:
         text = f"{text}; found {_found(first['input'], parts[0] if parts else '')}"
     key, colon, rest = text.partition(": ")

@@ -73,7 +73,8 @@ NUMBER: Final = BeforeValidator(_no_bool)
 Real = Annotated[float, Field(allow_inf_nan=False), NUMBER]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), NUMBER]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), NUMBER]
-Measure = Annotated[float, Field(ge=1e-30, le=1e30), NUMBER]
+LEAST: Final = 1e-30
+Measure = Annotated[float, Field(ge=LEAST, le=1e30), NUMBER]
 """A number above 0 whose squares and cubes are float64 numbers too, as the map core wants its lengths."""
 Share = Annotated[float, Field(ge=0, le=1), NUMBER]
 # JSON, which has no infinity, says "inf".

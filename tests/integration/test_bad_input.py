@@ -9,6 +9,7 @@ import zenoh
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from processes import GROUND, LEVEL, PRECISE, T0, Feed, Service, inputs_in, read_log, running
 
+from roughmap_client import QueryRefused
 from roughmap_client.asking import ask
 from roughmap_schemas import QueryError, encode_cloud, encode_odometry, encode_transform
 
@@ -113,6 +114,9 @@ def test_robots_that_are_not_expected(both: Running, robot: str, code: str) -> N
 
 def test_a_frame_of_no_sensor(both: Running) -> None:
     refused_twice(both, "points", "rover", encode_cloud(GROUND, T0, "sonar"), "unknown_sensor")
+    key, payload = "maps/site/ingest/rover/points", encode_cloud(GROUND, T0, "")
+    with pytest.raises(QueryRefused, match="set frame_id"):
+        ask(both[1].session, key, timeout=30.0, payload=payload, encoding="").single()
 
 
 @pytest.mark.parametrize("count", [1_000_001, MAX_MESSAGE // 12 + 1], ids=["points", "bytes"])

@@ -231,6 +231,11 @@ def test_a_sensor_must_say_how_far_it_is_to_be_believed() -> None:
         ),
         (lidar(rotation=[0, 0]), "here.toml: sensors.lidar.rotation: expected 4 values, found 2"),
         ({"map": 5}, "here.toml: map: must be a table; found 5"),
+        (
+            {"map": {"limits": "{slope=1}"}},
+            "here.toml: map.limits: must be a table (its values one by one, as map.limits.NAME=VALUE); found",
+        ),
+        ({"map": {"cell_size": 0}}, "here.toml: map.cell_size: must be greater than or equal to 1e-30; found 0"),
     ],
 )
 def test_unknown_keys(values: dict, words: str) -> None:

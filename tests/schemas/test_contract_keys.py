@@ -118,6 +118,7 @@ def test_robots_that_cannot_be(robot: str) -> None:
             robot_of(KEYS, name, getattr(KEYS, name)(robot))
         assert caught.value.code == "bad_key"
         assert "wildcard" in caught.value.message
+        assert "1 to 64 of the letters" in caught.value.message
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "*", "a b", "m" * 65, "é", "site\n", "{map}"])

@@ -9,6 +9,7 @@ from replay_tools import drive, refused, replay
 from service_tools import Run, cloud, config, events_of, inputs_of, odometry, read_back, starts_of
 
 from roughmap import RoughMap
+from roughmap_service.cli.main import run as command
 from roughmap_service.log_file import Kind
 from roughmap_service.recovery import recover
 from roughmap_service.replay import what_if
@@ -129,11 +130,14 @@ def test_what_if(logs: Path, tmp_path: Path) -> None:
     assert (code, last.rpartition(" ")[2]) == (0, run.state.map.digest())
 
 
-def test_what_if_there_had_been_room_for_more_tiles(logs: Path) -> None:
+def test_what_if_there_had_been_room_for_more_tiles(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with Run(logs, config(map={"max_tiles": 2})) as run:
         assert [run.scan(float(t), 10.0 * t).outcome for t in range(3)] == ["integrated", *["too_many_tiles"] * 2]
         run.checkpoint()
     assert replay(logs)[0] == 0
+    capsys.readouterr()
+    assert command(["replay", str(logs), "--what-if", "map.max_tiles=9"]) == 0
+    assert "confidence_factor" in capsys.readouterr().out, "no name is cut where no terminal's width wants it"
     state = what_if([logs], lambda _: config(map={"max_tiles": 9}))
     assert state.map.tile_count > run.state.map.tile_count
     assert state.map.sequence == 3

@@ -139,7 +139,10 @@ def _print_differences(differences: "list[Any]", changes: dict[str, object]) -> 
             d.layer, str(d.cells), str(d.only_before), str(d.only_now), f"{d.median_before:.5g}", f"{d.median_now:.5g}",
             f"{d.median_change:+.3g}", f"{d.p95_abs_change:.3g}",
         )  # fmt: skip
-    Console().print(table)
+    console = Console()
+    if not console.is_terminal:
+        console.width = 200  # a file or a pipe has no width that names of layers would have to be cut for
+    console.print(table)
 
 
 def _store(out: Path, state: "RunState", config: "Config", run: str) -> None:
