@@ -283,7 +283,7 @@ def one_run(files: Sequence[RunFile], found_in: Sequence[Path] = ()) -> list[Run
         if after.metadata.index != number + 1:
             raise LogError(
                 f"gap: file {number + 1} of run {runs[0][:8]} is missing "
-                f"between {before.path.name} and {after.path.name}"
+                f"between {before.path.name} and {after.path.name}: put it back, or begin a new map by serve --fresh"
             )
     return list(files)
 

@@ -233,7 +233,8 @@ def read_error(path: Path, error: Exception) -> StoreError:
     """What an error of `READ_ERRORS` is: that the store is damaged, or that it can't be read, or is none."""
     # "malformed" has no class of its own; what is no database at all is not ours to put away.
     kind = DamagedStore if type(error) is sqlite3.DatabaseError and "malformed" in str(error) else StoreError
-    return kind(f"{path}: {str(error) or 'no memory to read it'}; it is no map.db, or damaged")
+    mend = "where the whole log is there, move it away, and the map is built from that"
+    return kind(f"{path}: {str(error) or 'no memory to read it'}; it is no map.db, or damaged: {mend}")
 
 
 def _checksum(texts: Mapping[str, str]) -> str:

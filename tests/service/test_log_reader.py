@@ -202,7 +202,9 @@ def test_gaps_are_named(tmp_path: Path) -> None:
             run.scan(float(k))
             run.rotate()
     files = find_files([tmp_path])
-    with pytest.raises(LogError, match=f"gap: file 1 of run .* between {files[0].path.name} and {files[2].path.name}"):
+    with pytest.raises(
+        LogError, match=f"gap: file 1 .* between {files[0].path.name} and {files[2].path.name}: put it back"
+    ):
         one_run([files[0], *files[2:]])
     with pytest.raises(LogError, match="are both file 1"):
         one_run([*files[:2], *files[1:]])
