@@ -93,7 +93,8 @@ def recover(
     ended: set[Path] = set()
     while True:
         try:
-            back = _recover(config, directory, store, _Watch(progress, stop or threading.Event(), memory))
+            watch = _Watch(progress, stop or threading.Event(), memory, damaged=bool(ended))
+            back = _recover(config, directory, store, watch)
             back.epoch += LOST_EPOCHS if ended else 0
             return back
         except DamagedLog as damage:
@@ -144,11 +145,17 @@ def _recover(config: Config, directory: Path, store: Store | None, watch: "_Watc
 def _where_the_store_is_ahead(
     config: Config, store: Store | None, cut: Cut, files: list[RunFile], end: int, watch: "_Watch"
 ) -> Recovered:
-    """The map of the log, if that reaches back to the run's beginning; else the store's, and the log goes on anew."""
-    told = f"the log ends at record {end}, the store's cut is at {cut.record}"
-    if files[0].metadata.first_record == 1:
+    """The map of the log, if that reaches back to the run's beginning. Else the store's, and the log goes on anew, if a
+    damage is to blame: where files are missing, they may be brought back. LogError then."""
+    told, first = f"the log ends at record {end}, the store's cut is at {cut.record}", files[0]
+    if first.metadata.first_record == 1:
         log.warning("%s: the map is that of the log", told)
         result, _ = _bring_back(config, store, None, files, watch)
+    elif not watch.damaged:
+        raise LogError(
+            f"{told}, and {first.path.name} begins at record {first.metadata.first_record}; "
+            "bring back what is missing, or start with --fresh"
+        )
     else:
         log.error("%s, and the run's beginning is not there: the map is the store's", told)
         put_behind([file.path for file in files])
@@ -160,11 +167,13 @@ def _where_the_store_is_ahead(
 
 @dataclass(frozen=True, slots=True)
 class _Watch:
-    """Who looks on while files are folded, who may want it to end, and what bounds its memory."""
+    """Who looks on while files are folded, who may want it to end, what bounds its memory; and whether the log had to
+    be ended at a damage."""
 
     progress: Progress | None
     stop: threading.Event
     memory: Memory | None
+    damaged: bool
 
 
 def _bring_back(

@@ -18,6 +18,10 @@ from .options import config_options, load
 
 log = logging.getLogger(__name__)
 
+SWITCH_SECONDS = 0.0005
+"""How long a thread may keep Python from the others: at the default of 5 ms an answer waits that long several times
+while scans come in (p99 under twice the load 72 ms, at this 40 to 58)."""
+
 
 @click.command()
 @config_options
@@ -35,6 +39,7 @@ def serve(
     from roughmap_schemas.config import without_secrets
     from roughmap_service.logs import note, set_up
 
+    sys.setswitchinterval(SWITCH_SECONDS)
     os.umask(os.umask(0o027) | 0o027)  # log and store may be read by the group, and by nobody else
     loaded = load(config_path, settings)
     service = loaded.config.service
