@@ -49,6 +49,11 @@ class ShuttingDown(Exception):
     """The service ends before what was asked for is done."""
 
 
+class NotFollowed(BaseException):
+    """What is in the log could not be done: only a start, which does it again, can go on. No `Exception`, so that it
+    ends the sequencer and is not taken for a fault of whoever asked."""
+
+
 @dataclass(frozen=True, slots=True)
 class Intervals:
     """Seconds between checkpoints and between snapshots."""
@@ -140,7 +145,11 @@ class Sequencer:
                 action()
             except Exception as error:  # noqa: BLE001 - it is the caller's, and raised there
                 raised.append(error)
-            done.set()
+            except NotFollowed as error:
+                raised.append(ShuttingDown(str(error)))
+                raise
+            finally:
+                done.set()
 
         self._intake.command(run)
         if not done.wait(timeout):
@@ -156,7 +165,16 @@ class Sequencer:
         event = ResetEvent(epoch=self.state.epoch + 1, sequence=self.state.map.sequence + 1)
         if not self._writer.wait_room(IDLE_SECONDS):
             raise _log_fault(self._writer.error)
-        self._log_event(event)
+        try:
+            self._log_event(event)
+            self._empty(event)
+        except Exception as error:
+            why = f"the logged reset could not be done: {type(error).__name__}: {error}; the next start does it"
+            raise NotFollowed(why) from error
+        return event.sequence, event.epoch
+
+    def _empty(self, event: ResetEvent) -> None:
+        """Do a reset that is in the log, once it is on the disk."""
         synced = threading.Event()
         self._writer.put(Sync(synced.set))
         while not synced.wait(IDLE_SECONDS):
@@ -170,7 +188,6 @@ class Sequencer:
             self.view.epoch = self.state.epoch
         self.decider.newest_stamp_ns = 0
         self._publish_event(encode_event(event))
-        return event.sequence, event.epoch
 
     def _run(self) -> None:
         try:

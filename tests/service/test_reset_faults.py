@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from net import WAIT_S, open_pair, wait_for
-from service_tools import Run, cloud, events_of, read_back
+from service_tools import Run, cloud, config, events_of, read_back
 
 from roughmap import RoughMap
 from roughmap_client import QueryRefused
@@ -20,7 +20,8 @@ from roughmap_service.counters import Counters
 from roughmap_service.ingest import Replies
 from roughmap_service.intake import Intake, ZenohInputs
 from roughmap_service.memory import Memory
-from roughmap_service.sequencer import Intervals, Sequencer
+from roughmap_service.recovery import recover
+from roughmap_service.sequencer import Intervals, NotFollowed, Sequencer, ShuttingDown
 from roughmap_service.spill import Spill
 
 
@@ -106,3 +107,23 @@ def test_a_reset_that_meets_a_full_disk_holds_up_no_refusal_and_comes_when_there
     kinds = [event.kind for event in events]
     assert events[kinds.index("reset")] == ResetEvent(epoch=before[1] + 1, sequence=before[0] + 1)
     assert kinds[kinds.index("reset") + 1] == "integration"
+
+
+def test_a_logged_reset_that_can_not_be_done_ends_the_sequencer_and_the_next_start_does_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with ExitStack() as stack:
+        service = Service(tmp_path, stack)
+        before = service.run.state.map.sequence
+
+        def no_memory(_map: RoughMap) -> None:
+            raise MemoryError
+
+        monkeypatch.setattr(service.sequencer, "_before_reset", no_memory)
+        with pytest.raises(ShuttingDown, match=r"MemoryError.*the next start does it"):
+            service.sequencer.call(service.sequencer.reset, WAIT_S)
+        assert service.sequencer.stop(WAIT_S)
+        assert isinstance(service.sequencer.failure, NotFollowed)
+    assert isinstance(events_of(read_back(tmp_path))[-1], ResetEvent), "nothing is logged behind it"
+    back = recover(config(), tmp_path, None)
+    assert (back.state.map.sequence, back.state.map.digest()) == (before + 1, RoughMap().digest())
