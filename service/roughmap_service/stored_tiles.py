@@ -12,7 +12,9 @@ from roughmap import RoughMap
 from roughmap.arrays import I4, I8, U1, Records
 from roughmap.shelf import copy_known_rows
 
-from .store import READ_ERRORS, Cut, DamagedStore, Store, read_error
+from .store import READ_ERRORS, TILE_BYTES, Cut, DamagedStore, Store, read_error
+
+READ_TILE = "SELECT CASE WHEN length(records) <= ? THEN records END FROM tiles WHERE tx = ? AND ty = ?"
 
 CHUNK = 1 << 14
 """Rows that are in memory as Python's objects at a time."""
@@ -58,7 +60,9 @@ def damaged(store: Store, why: str) -> DamagedStore:
 class StoredTiles:
     """Reads the records of tiles, by their number in the index; any thread may, and none waits for another.
 
-    Each read has a connection to itself: there are as many as were ever needed at once, at most one a thread.
+    Each read has a connection to itself: there are as many as were ever needed at once, at most one a thread. One more
+    is only kept open: SQLite has whoever closes the last one write back its log with all readers locked out, for as
+    long as a slow disk takes, and that would be each snapshot.
     """
 
     def __init__(self, store: Store) -> None:
@@ -66,14 +70,22 @@ class StoredTiles:
         self.store = store
         self._idle: deque[sqlite3.Connection] = deque()
         self._closed = False
+        try:
+            self._kept = store.open_reading(check_same_thread=False)
+            self._kept.execute("SELECT count(*) FROM sqlite_master").fetchone()  # it holds the file from here on
+        except READ_ERRORS as error:
+            raise read_error(store.path, error) from None
 
     def read(self, number: int, records: Records) -> None:
-        """Fill (4096,) zeroed records. StoreError names a tile that is damaged, or is no longer the indexed one."""
+        """Fill (4096,) zeroed records. StoreError names a tile that is damaged, or is no longer the indexed one;
+        MemoryError if there is none for it now."""
         index = self.index
         tx, ty = int(index.tx[number]), int(index.ty[number])
         try:
             with self._connection() as db:
-                row = db.execute("SELECT records FROM tiles WHERE tx = ? AND ty = ?", (tx, ty)).fetchone()
+                row = db.execute(READ_TILE, (2 * TILE_BYTES, tx, ty)).fetchone()
+        except MemoryError:
+            raise  # the machine's: a length that is damaged was not asked for
         except READ_ERRORS as error:
             raise read_error(self.store.path, error) from None
         blob = None if row is None else row[0]
@@ -97,6 +109,7 @@ class StoredTiles:
     def close(self) -> None:
         """Let go of the file; of what is being read right now, when that is done."""
         self._closed = True
+        self._kept.close()
         with suppress(IndexError):
             while True:
                 self._idle.pop().close()

@@ -51,7 +51,7 @@ class Disk:
 
         class Connection(sqlite3.Connection):
             def execute(self, sql: str, *args: Any) -> sqlite3.Cursor:
-                if sql.startswith("SELECT records"):
+                if "records" in sql:
                     disk._pass()
                 return super().execute(sql, *args)
 

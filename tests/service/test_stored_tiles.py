@@ -1,6 +1,7 @@
 """Tiles lie in the store until they are needed, and in the spill file when they are not: the run goes on the same."""
 
 import sqlite3
+from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from service_tools import WAIT_S, Run, cloud, config
 from spill_tools import leave
 
-from roughmap import RoughMap
+from roughmap import CELL_DTYPE, RoughMap
 from roughmap.layers import LAYERS
 from roughmap.memory import SLOT_BYTES
 from roughmap_schemas import IntegrationEvent
@@ -253,3 +254,35 @@ def test_many_stored_tiles_each_keep_their_own_cells(number: int, store: Store, 
         for m in whole, lazy:
             m.add(points[::7])
         assert lazy.digest() == whole.digest()
+
+
+def test_a_snapshot_that_closes_locks_no_reader_out(logs: Path, store: Store, spills: ExitStack) -> None:
+    """SQLite writes its log back, with all readers locked out, when the last connection closes."""
+    begun(logs, store)
+    lazy = Lazy(logs, store, spills)
+    with Run(logs, recovered=lazy.recovered, store=store, spill=lazy.spill) as run:
+        scan(run, 3, 1.0)
+        run.snapshot()
+        assert store.path.with_name("map.db-wal").stat().st_size, "another is open"
+
+
+def test_a_tile_for_which_there_is_no_memory_is_not_a_damaged_one(
+    logs: Path, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun(logs, store)
+
+    class Full:
+        def execute(self, *_: Any) -> Any:
+            raise MemoryError
+
+        def close(self) -> None:
+            pass
+
+    with closing(StoredTiles(store)) as stored:
+        records = np.zeros(4096, CELL_DTYPE)
+        with monkeypatch.context() as patch:
+            patch.setattr(stored, "_idle", deque([Full()]))
+            with pytest.raises(MemoryError):
+                stored.read(0, records)
+        stored.read(0, records)
+        assert records["count"].any()
