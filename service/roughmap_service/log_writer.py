@@ -304,6 +304,10 @@ class LogWriter:
         """Leave the failed file as it was last synced, and write what came since to a new one; False at the end."""
         self._fail(error)
         self._hangs = ""
+        with self._wake:
+            whole = self._stop and not (self._unsynced or self._todo or self._queue)
+        if whole:
+            return self._end_without_footer()
         self._tell_failure()
         while True:
             with self._wake:
@@ -334,6 +338,14 @@ class LogWriter:
             text = f"the log can be written again: {self._file.path}"
             note(log, logging.WARNING, "recovered", text, always=True, file=str(self._file.path))
             return True
+
+    def _end_without_footer(self) -> bool:
+        """Leave the file as it was synced at the end, when all is in it: a start gives it its footer. False."""
+        log.warning("%s; the log is whole but for this file's footer, which the next start makes", self.error)
+        with contextlib.suppress(OSError):
+            self._file.abandon(self._length)
+        self._left, self._failed = True, ""
+        return False
 
     def _leave(self) -> None:
         """Let go of the failed file, cut to what was synced.

@@ -105,3 +105,21 @@ def test_a_disk_that_hangs_is_one_that_cannot_be_written(
     told = [record.event for record in caplog.records if record.name == log_writer.__name__]  # type: ignore[attr-defined]
     assert told == ["degraded", *(["degraded"] if broken else []), "recovered"]
     assert [item.number for item in inputs_of(read_back(tmp_path))] == list(range(1, 7))
+
+
+def test_a_disk_without_room_for_a_footer_gets_no_more_files(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Though it has room for another beginning: all is in the file, and the next start gives it its footer."""
+    opened: list[FullDisk] = []
+
+    def open_file(path: Path) -> Any:
+        opened.append(FullDisk(path, "xb"))
+        return io.BufferedWriter(opened[-1])
+
+    with Run(tmp_path, open_file=open_file) as run:
+        event = run.scan(0.0)
+        assert run.writer.wait_synced(WAIT_S)
+        opened[0].limit = opened[0].tell()
+        assert run.writer.close(WAIT_S), "nothing is lost"
+    assert len(opened) == 1
+    assert [record.message for record in caplog.records if "footer" in record.message]
+    assert events_of(read_back(tmp_path))[-1:] == [event]
