@@ -143,7 +143,7 @@ def _run(
     identity = Identity(config.map.name, run, instance, configuration_digest(config), config.map.frame_id)
     counters = Counters(config.input.max_wait)
     view, emptied = View(state.map, recovered.epoch), Emptied(config.map.max_tiles)
-    ending, whole = Ending(config.service.shutdown_timeout), True
+    ending, whole, ended = Ending(config.service.shutdown_timeout), True, True
     with ExitStack() as stack:
         replies = Replies()
         stack.callback(lambda: replies.close(ending.left()))
@@ -196,7 +196,12 @@ def _run(
         status = Status(view, counters, config, identity, VERSION, progress)
         record = _Outputs(writer, keys, counters, queries=config.log.queries)
         sequencer.start(recovered.undecided)
-        stack.callback(_end, sequencer, view, snapshots, cut, ending)
+
+        @stack.callback
+        def end_sequencer() -> None:
+            nonlocal ended
+            ended = _end(sequencer, view, snapshots, cut, ending)
+
         answers = stack.enter_context(
             Answers(
                 session, view, keys, config, identity, status=status,
@@ -226,19 +231,25 @@ def _run(
         intake.close()
     if not whole:
         raise ServiceFailed(f"the end of the log is lost: {writer.error or 'the disk did not take it in time'}")
+    if memory.spill.failure:
+        raise ServiceFailed(memory.spill.failure)
+    if sequencer.failure or not ended:
+        why = f"failed: {sequencer.failure!r}" if sequencer.failure else "did not end in time"
+        left = f"{len(state.clouds)} clouds in the log are undecided, and the next start decides them"
+        raise ServiceFailed(f"the sequencer {why}; {left}; what had come and was not logged yet is lost")
     ending.kept()
 
 
-def _end(sequencer: Sequencer, view: View, snapshots: Snapshots, cut: Callable[[], None], ending: Ending) -> None:
-    """Place what can be placed, checkpoint, snapshot; the log's footer comes after this, and needs time too."""
+def _end(sequencer: Sequencer, view: View, snapshots: Snapshots, cut: Callable[[], None], ending: Ending) -> bool:
+    """Place what can be placed, checkpoint, snapshot; the log's footer comes after this, and needs time too. False if
+    the sequencer did not end in time."""
     ended = sequencer.stop(ending.left(0.5))
     view.wake()
-    if not ended:
-        log.error("the sequencer did not end in time: what it held is undecided")
-    elif snapshots.enabled and sequencer.failure is None and sequencer.log_ok:
+    if ended and snapshots.enabled and sequencer.failure is None and sequencer.log_ok:
         snapshots.close(ending.left(0.3))
         cut()
         snapshots.close(ending.left(0.5))
+    return ended
 
 
 def _recovered(

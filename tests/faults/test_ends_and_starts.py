@@ -16,6 +16,7 @@ from net import WAIT_S, peer_config
 from processes import STOP_S, T0, Service, connected, replay
 from service_tools import Run, config
 from shim import Shim
+from test_sick_disks import dense
 
 from roughmap_schemas import encode_cloud
 
@@ -104,6 +105,25 @@ def test_an_end_that_the_disk_does_not_take_is_no_good_end(tmp_path: Path, shim:
     assert any(line.startswith("roughmap: the end of the log is lost: ") for line in service.err), service.err[-5:]
     code, verdict = replay(shim.root / "log")
     assert code == 0 or "no checkpoint" in verdict, verdict
+
+
+def test_an_end_that_the_spill_file_holds_up_is_no_good_end(tmp_path: Path, shim: Shim) -> None:
+    """The log takes all; the map's tiles find no room in memory, and the sequencer waits for their disk."""
+    with (
+        Service(
+            tmp_path,
+            environ=shim.environ,
+            log={"directory": str(shim.root / "log")},
+            map={"memory_limit": "8MiB", "spill_path": str(shim.root / "tiles.spill")},
+            service={"shutdown_timeout": 4.0},
+        ) as service,
+        connected(service) as feed,
+        shim.hanging(syncs=False, writes=True, only="store"),
+    ):
+        feed.ingest("points", "r1", dense(0))
+        assert service.stop() == 1
+    assert service.err[-1].startswith("roughmap: the sequencer did not end in time; "), service.err[-5:]
+    assert not any("ended in order" in line for line in service.err)
 
 
 def test_an_end_that_takes_too_long_is_cut_short(tmp_path: Path, shim: Shim) -> None:

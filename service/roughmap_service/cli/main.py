@@ -120,7 +120,6 @@ _LATE = (
     ("roughmap_service.transport", "TransportError", 1),
     ("roughmap_service.http_token", "HttpError", 2),
     ("roughmap_service.http_server", "PortTaken", 1),
-    ("roughmap_service.serve", "ServiceFailed", 1),
     ("roughmap_service.serve", "ServeError", 2),
     ("roughmap_service.locks", "LockError", 2),
 )

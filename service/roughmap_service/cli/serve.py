@@ -52,6 +52,7 @@ def serve(
     if not loaded.config.sensors and not any(robot.sensors for robot in loaded.config.robots.values()):
         log.warning("no sensors: only clouds in the map's own frame are taken; add [sensors.FRAME_ID]")
 
+    from roughmap_service.serve import ServiceFailed
     from roughmap_service.serve import serve as run
 
     stop = threading.Event()
@@ -77,8 +78,13 @@ def serve(
     def progress(done: int, files: int) -> None:
         log.info("folding the log: file %d of %d", done + 1, files)
 
-    run(loaded, stop, announce, fresh=fresh, insecure=insecure, progress=progress)
-    text = f"ended in order on {reason}, after {time.monotonic() - begun:.0f} s"
-    note(log, logging.INFO, "end", text, signal=reason)
+    code = 0
+    try:
+        run(loaded, stop, announce, fresh=fresh, insecure=insecure, progress=progress)
+        text = f"ended in order on {reason}, after {time.monotonic() - begun:.0f} s"
+        note(log, logging.INFO, "end", text, signal=reason)
+    except ServiceFailed as error:
+        code = 1
+        click.echo(f"roughmap: {' '.join(str(error).split())}", err=True)
     logging.shutdown()
-    os._exit(0)  # a thread that Zenoh lets go of only now would find the interpreter half gone, and abort
+    os._exit(code)  # a thread that Zenoh lets go of only now would find the interpreter half gone, and abort
