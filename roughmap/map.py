@@ -51,8 +51,8 @@ class RoughMap:
 
     The same points, covariances and stamps in the same order give the same bytes of state, however they were cut into
     calls and however many threads worked on them. One thread at a time may call the methods, but for `prepare`: what
-    stands there. What `freeze` gives may be read by others meanwhile. Errors in arguments are ValueError, and nothing
-    is changed then.
+    stands there, and the thread that changes the map may call `digest` while others call `freeze`. What `freeze` gives
+    may be read by others meanwhile. Errors in arguments are ValueError, and nothing is changed then.
     """
 
     def __init__(

@@ -24,8 +24,8 @@ class TileTable:
     table has a known cell. ``slot`` is where it lies: of the pool if not negative, else the place ``~slot`` of the
     shelf; what lies there has its digest known. ``used`` is the sequence at which the tile was last needed.
 
-    Everything is the writer's, under its lock, but :meth:`bring_back`, and :meth:`records` of slots that the caller has
-    pinned.
+    Everything is the writer's, under its lock, but :meth:`bring_back`, :meth:`digests`, which it calls without the lock
+    (a reader finds a digest whole, or not known yet), and :meth:`records` of slots that the caller has pinned.
     """
 
     def __init__(self, levels: int, shelf: Shelf) -> None:

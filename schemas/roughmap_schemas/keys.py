@@ -224,21 +224,7 @@ class Keys:
         Raises ``QueryFault``: ``bad_key`` for another form or a number that is not canonical, ``bad_level`` for a level
         below 0 or not below ``levels``.
         """
-        return self._selected("tiles", key, levels)
-
-    def update(self, z: int, x: int, y: int) -> str:
-        """Give the key on which a changed tile is published."""
-        return self._forms["updates"].make(z=z, x=x, y=y)
-
-    def parse_update(self, key: str) -> tuple[int, int, int]:
-        """Give level, x and y of an update's key; ``QueryFault`` if it is none."""
-        z, x, y = self._selected("updates", key, None)
-        if z is None or x is None or y is None:
-            raise QueryFault(QueryCode.BAD_KEY, f"expected a key without wildcards; found {key[:200]!r}")
-        return z, x, y
-
-    def _selected(self, name: str, key: str, levels: int | None) -> Selected:
-        form = self._forms[name]
+        form = self._forms["tiles"]
         values = form.parse(key)
         if values is None:
             expected = form.make(z="{z}", x="{x}", y="{y}")
@@ -258,6 +244,10 @@ class Keys:
             raise QueryFault(QueryCode.BAD_LEVEL, f"level: expected {allowed}; found {z}")
         return z, numbers["x"], numbers["y"]
 
+    def update(self, z: int, x: int, y: int) -> str:
+        """Give the key on which a changed tile is published."""
+        return self._forms["updates"].make(z=z, x=x, y=y)
+
     def control(self, action: str) -> str:
         """Give the key of an operator's action (``snapshot`` or ``reset``)."""
         return self._forms["control"].make(action=action)
@@ -265,8 +255,3 @@ class Keys:
     def alive(self, instance: str) -> str:
         """Give the key of an instance's liveliness token."""
         return self._forms["alive"].make(instance=instance)
-
-    def parse_alive(self, key: str) -> str | None:
-        """Give the instance of a token's key; None if it is another key."""
-        values = self._forms["alive"].parse(key)
-        return None if values is None else values["instance"]

@@ -124,8 +124,6 @@ def keys(payload: bytes) -> None:
     with contextlib.suppress(QueryFault):
         z, x, y = KEYS.parse_tile_selector(key, LEVELS)
         assert KEYS.tiles(z, x, y) == key
-    with contextlib.suppress(QueryFault):
-        assert KEYS.update(*KEYS.parse_update(key)) == key
     robots: tuple[tuple[Callable[[str], str], Callable[[str], str]], ...] = (
         (KEYS.parse_points, KEYS.points),
         (KEYS.parse_odometry, KEYS.odometry),
@@ -139,7 +137,6 @@ def keys(payload: bytes) -> None:
     with contextlib.suppress(MessageFault):
         kind, robot = KEYS.parse_ingest(key)
         assert KEYS.form(f"ingest_{kind}").make(robot=robot) == key
-    KEYS.parse_alive(key)
     with contextlib.suppress(ContractError):
         Keys(key[:64], {"points": key})
 

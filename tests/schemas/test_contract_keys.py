@@ -88,7 +88,6 @@ def test_robots_there_and_back(map_name: str, robot: str, templates: dict[str, s
     keys = Keys(map_name, templates)
     for name in INPUTS:
         assert robot_of(keys, name, getattr(keys, name)(robot)) == robot
-    assert keys.parse_alive(keys.alive(robot)) == robot
 
 
 @many
@@ -96,7 +95,6 @@ def test_robots_there_and_back(map_name: str, robot: str, templates: dict[str, s
 def test_tiles_there_and_back(map_name: str, z: int, x: int, y: int, templates: dict[str, str] | None) -> None:
     keys = Keys(map_name, templates)
     assert keys.parse_tile_selector(keys.tile(z, x, y), 24) == (z, x, y)
-    assert keys.parse_update(keys.update(z, x, y)) == (z, x, y)
     for selected in ((None, x, y), (z, None, y), (z, x, None), (None, None, None)):
         assert keys.parse_tile_selector(keys.tiles(*selected), 24) == selected
 
@@ -152,10 +150,9 @@ def test_maps_that_cannot_be(name: str) -> None:
     ],
 )
 def test_tile_keys_that_cannot_be(key: str) -> None:
-    for parse, at in ((KEYS.parse_tile_selector, "tiles"), (KEYS.parse_update, "updates")):
-        with pytest.raises(QueryFault) as caught:
-            parse(key.replace("tiles", at))
-        assert caught.value.code == "bad_key"
+    with pytest.raises(QueryFault) as caught:
+        KEYS.parse_tile_selector(key)
+    assert caught.value.code == "bad_key"
 
 
 @pytest.mark.parametrize("level", ["8", "-1", "100"])
@@ -164,11 +161,6 @@ def test_levels_that_the_map_has_not(level: str) -> None:
         KEYS.parse_tile_selector(f"maps/site/tiles/{level}/0/0", 8)
     assert caught.value.code == "bad_level"
     assert "0 to 7" in caught.value.message
-
-
-def test_updates_have_no_wildcards() -> None:
-    with pytest.raises(QueryFault, match="without wildcards"):
-        KEYS.parse_update("maps/site/updates/0/*/1")
 
 
 @many
