@@ -261,7 +261,8 @@ def test_a_snapshot_that_closes_locks_no_reader_out(logs: Path, store: Store, sp
     begun(logs, store)
     lazy = Lazy(logs, store, spills)
     with Run(logs, recovered=lazy.recovered, store=store, spill=lazy.spill) as run:
-        scan(run, 3, 1.0)
+        run.put(Kind.POINTS, cloud(3.0, 500.0, frame="map"))  # no stored tile is read for it
+        run.decide()
         run.snapshot()
         assert store.path.with_name("map.db-wal").stat().st_size, "another is open"
 
