@@ -37,7 +37,7 @@ def test_multiples_of_the_cell_side_are_whole(i: int, n: int, side: float) -> No
         ((0, 0, 0, 1), "empty"),
         ((1, 0, 0, 1), "empty"),
         ((0.05, 0, 0.03, 1), "empty"),
-        ((0.3, 0, 0.3 + 1e-9, 1), "empty"),
+        ((0.3, 0, 0.3 + 1e-9, 1), "too narrow"),
         ((0, 0, 1), "four"),
         ((0, 0, 1, 1, 1), "four"),
         ((0, 0, 1e30, 1e30), "at most"),

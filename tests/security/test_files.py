@@ -45,8 +45,8 @@ def test_a_link_in_the_way_of_the_lock_is_not_followed(tmp_path: Path) -> None:
     assert not (tmp_path / "made").exists()
 
 
-@pytest.mark.parametrize("suffix", [".part", ".torn"])
-def test_a_link_in_the_way_of_a_repair_is_replaced(tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize("suffix", [".part", ".rest", ".torn"])
+def test_a_link_in_the_way_of_a_repair_is_not_followed(tmp_path: Path, suffix: str) -> None:
     with Service(tmp_path) as service, connected(service) as feed:
         feed.cloud("r1", 1_700_000_000 * 10**9, frame="map")
         service.kill()
@@ -56,6 +56,8 @@ def test_a_link_in_the_way_of_a_repair_is_replaced(tmp_path: Path, suffix: str) 
     victim = tmp_path / "victim"
     victim.write_text("of somebody else")
     Path(f"{log}{suffix}").symlink_to(victim)
-    assert repair(log) == Path(f"{log}.torn")
+    torn = repair(log)
+    assert torn == Path(f"{log}{'.torn.1' if suffix == '.torn' else '.torn'}")
+    assert torn.read_bytes() == b"\x05torn"
+    assert not torn.is_symlink()
     assert victim.read_text() == "of somebody else"
-    assert not Path(f"{log}.torn").is_symlink()
