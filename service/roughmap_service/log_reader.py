@@ -12,6 +12,7 @@ from typing import IO, cast
 
 import zstandard
 from mcap.exceptions import EndOfFile, InvalidMagic, McapError
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
@@ -32,6 +33,9 @@ NO_MCAP = "is no MCAP file"
 
 MAX_RECORD_BYTES = 1 << 30
 """No record is larger; a damaged length must not become an allocation."""
+
+KINDS = bytes([Opcode.DATA_END])
+"""The last of the kinds of records, which are numbered from 1."""
 
 LEAST_UNPACKED = 65 << 20
 """Bytes that a chunk may unpack to in any case: the default of input.max_message, and what lies beside it."""
@@ -139,6 +143,9 @@ def raw_records(path: Path) -> Iterator[tuple[McapRecord, int]]:
                     if isinstance(record, Metadata) and record.name == RECORD_NAME:
                         most = _most_unpacked(record)
                     yield record, end
+                kind = stream.peek(1)[:1]
+                if kind > KINDS or kind == b"\0":  # the library passes over them
+                    raise ValueError("a record of no kind, such as zeros that a power cut left for what was written")
         except EndOfFile:
             raise _end_of(path) from None
         except InvalidMagic:

@@ -2,6 +2,7 @@
 
 import logging
 import sqlite3
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -253,3 +254,24 @@ def test_what_was_kept_of_a_file_stays_when_it_is_damaged_again(logs: Path) -> N
         sizes.append([file.stat().st_size for file in sorted(logs.glob("*.torn*"))])
     assert len(sizes[1]) == 2
     assert sizes[0][0] == sizes[1][0]
+
+
+@pytest.mark.parametrize("length", [9, 261, 4096])
+def test_zeros_where_a_record_was_are_damage(logs: Path, length: int) -> None:
+    """Nine of them look like a record of no kind and no length, which readers pass over: what was there is missing."""
+    three_files(logs)
+    path = sorted(logs.iterdir())[-1]
+    data = path.read_bytes()
+    chunks = [at for at, kind in record_starts(data) if kind == Opcode.CHUNK]
+    assert len(chunks) == 1
+    path.write_bytes(data[: chunks[0]] + bytes(length) + data[chunks[0] :])
+    with pytest.raises(DamagedLog, match="no kind"):
+        list(read_file(path))
+
+
+def record_starts(data: bytes) -> Iterator[tuple[int, int]]:
+    """Where each record of the data section begins, and its kind."""
+    at = 8
+    while data[at] != Opcode.DATA_END:
+        yield at, data[at]
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
