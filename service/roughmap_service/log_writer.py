@@ -6,7 +6,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -15,6 +14,7 @@ from roughmap_schemas import RunMetadata
 
 from .disk import HANG_SECONDS
 from .log_file import LogFile, LogRecord, Mark, OpenFile, file_name, open_new
+from .log_items import Item, Rotate, Sync, cost
 from .logs import note
 
 log = logging.getLogger(__name__)
@@ -24,31 +24,6 @@ RETRY_SECONDS = 1.0
 
 SYNC_SECONDS = 1.0
 """The disk is asked to keep all at least so often: what came since is held in memory, should the disk fail."""
-
-RECORD_OVERHEAD = 128
-"""Bytes that a queued record costs beside its payload."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sync:
-    """Asks for all before it to be on the disk; then ``done`` is called from the log's thread and must not block.
-
-    Where ``failed`` is given, who asked does not wait for a log that can't be written: as soon as that is seen it is
-    called instead, once, with the cause, from any thread. What was queued before stays queued all the same.
-    """
-
-    done: Callable[[], None]
-    failed: Callable[[str], None] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Rotate:
-    """Ends the file. ``digest`` is the map's at this place of the log."""
-
-    digest: str
-
-
-Item = LogRecord | Sync | Rotate
 
 
 class LogWriter:
@@ -152,7 +127,7 @@ class LogWriter:
                 if isinstance(item, Sync) and failed:
                     self._impatient.add(item)
                 self._queue.append(item)
-                self._held += _cost(item)
+                self._held += cost(item)
                 self._rotating += isinstance(item, Rotate)
                 self._wake.notify_all()
         if failed and error:
@@ -161,10 +136,10 @@ class LogWriter:
     def put_output(self, record: LogRecord) -> bool:
         """Queue an output, which is no part of the run; False if it was dropped, to leave room for what is."""
         with self._wake:
-            if not self.ok or self._held + _cost(record) > self._queue_limit // 2:
+            if not self.ok or self._held + cost(record) > self._queue_limit // 2:
                 return False
             self._queue.append(record)
-            self._held += _cost(record)
+            self._held += cost(record)
             self._wake.notify_all()
             return True
 
@@ -296,7 +271,7 @@ class LogWriter:
     def _release(self, items: list[Item], length: int | None = None) -> None:
         with self._wake:
             self._length = self._length if length is None else length
-            self._held -= sum(_cost(item) for item in items)
+            self._held -= sum(cost(item) for item in items)
             self._rotating -= sum(isinstance(item, Rotate) for item in items)
             self._wake.notify_all()
 
@@ -412,7 +387,3 @@ class LogWriter:
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)
             raise
-
-
-def _cost(item: Item) -> int:
-    return RECORD_OVERHEAD + (len(item.payload) if isinstance(item, LogRecord) else 0)

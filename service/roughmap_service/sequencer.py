@@ -31,7 +31,8 @@ from .inbox import Inbox, WaitingCloud
 from .ingest import Duplicates
 from .intake import InputMessage, Intake, refuse
 from .log_file import LogRecord, event_record
-from .log_writer import LogWriter, Rotate, Sync
+from .log_items import Rotate, Sync
+from .log_writer import LogWriter
 from .logs import note
 from .memory import Memory
 from .view import View

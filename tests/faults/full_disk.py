@@ -56,13 +56,9 @@ def full_disks(trial: Trial, folder: Path, rng: random.Random, number: int) -> N
                     elif every == 1:
                         _refuses(trial, client, session, name, stamp=T0 + n)
                     _answers(trial, client, name)
-                before = fleet.promised
-                trial.expect(_comes(client, "ok"), f"{name}: not ok again afterwards")
-                trial.expect(fleet.wait_promised(before + 20), f"{name}: no receipts afterwards")
+                _goes_on(trial, client, fleet, name)
                 trial.once()
-        with fleet.at_work(endpoints, most=5, asking=False) as done:
-            trial.expect(done.wait(WAIT_S), f"not acknowledged: {fleet.left()}")
-        trial.expect(service.stop() == 0, f"the end: {service.err[-3:]}")
+        _ends(trial, service, fleet, endpoints)
     trial.note("calls that failed", shim.failed)
     _whole(trial, fleet, shim.root / "log")
 
@@ -82,14 +78,23 @@ def hung_disks(trial: Trial, folder: Path, rng: random.Random, number: int) -> N
                 with shim.hanging(syncs=n % 3 != 0, writes=n % 3 != 1, only="log"):
                     _refuses(trial, client, session, name, stamp=T0 + n)
                     _answers(trial, client, name)
-                before = fleet.promised
-                trial.expect(_comes(client, "ok"), f"{name}: not ok again afterwards")
-                trial.expect(fleet.wait_promised(before + 20), f"{name}: no receipts afterwards")
+                _goes_on(trial, client, fleet, name)
                 trial.once()
-        with fleet.at_work(endpoints, most=5, asking=False) as done:
-            trial.expect(done.wait(WAIT_S), f"not acknowledged: {fleet.left()}")
-        trial.expect(service.stop() == 0, f"the end: {service.err[-3:]}")
+        _ends(trial, service, fleet, endpoints)
     _whole(trial, fleet, shim.root / "log")
+
+
+def _goes_on(trial: Trial, client: RoughMapClient, fleet: Fleet, name: str) -> None:
+    before = fleet.promised
+    trial.expect(_comes(client, "ok"), f"{name}: not ok again afterwards")
+    trial.expect(fleet.wait_promised(before + 20), f"{name}: no receipts afterwards")
+
+
+def _ends(trial: Trial, service: Service, fleet: Fleet, endpoints: list[str]) -> None:
+    """In order, once all that was handed in is acknowledged."""
+    with fleet.at_work(endpoints, most=5, asking=False) as done:
+        trial.expect(done.wait(WAIT_S), f"not acknowledged: {fleet.left()}")
+    trial.expect(service.stop() == 0, f"the end: {service.err[-3:]}")
 
 
 def _wait_failed(trial: Trial, shim: Shim, name: str) -> None:
@@ -204,9 +209,7 @@ def _fill_up(trial: Trial, disk: Path, rng: random.Random) -> None:
             before = fleet.promised
             trial.expect(_comes(client, "ok"), "a full file system: not ok when there is room")
             trial.expect(fleet.wait_promised(before + 20), "no receipts when there is room")
-        with fleet.at_work(endpoints, most=5, asking=False) as done:
-            trial.expect(done.wait(WAIT_S), f"not acknowledged: {fleet.left()}")
-        trial.expect(service.stop() == 0, f"the end: {service.err[-3:]}")
+        _ends(trial, service, fleet, endpoints)
     _whole(trial, fleet, disk / "log")
     subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
     with Service(disk.parent / f"{disk.name}-conf", **given) as service:

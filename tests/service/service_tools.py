@@ -28,8 +28,9 @@ from roughmap_service.fold import decode
 from roughmap_service.inbox import Inbox, WaitingCloud
 from roughmap_service.ingest import Duplicates
 from roughmap_service.log_file import Kind, LogRecord, open_new
+from roughmap_service.log_items import Rotate
 from roughmap_service.log_reader import EventRecord, FileStart, InputRecord, LogItem, find_files, one_run, read_run
-from roughmap_service.log_writer import LogWriter, Rotate
+from roughmap_service.log_writer import LogWriter
 from roughmap_service.recovery import Recovered, blank
 from roughmap_service.snapshots import Snapshots, cut_of
 from roughmap_service.spill import Spill

@@ -15,7 +15,8 @@ from service_tools import T0, WAIT_S, inputs_of, metadata, odometry, read_back, 
 
 from roughmap_service import log_writer
 from roughmap_service.log_file import Kind, LogRecord, file_name
-from roughmap_service.log_writer import LogWriter, Rotate, Sync
+from roughmap_service.log_items import Rotate, Sync
+from roughmap_service.log_writer import LogWriter
 
 RUN = metadata().run
 

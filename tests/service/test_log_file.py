@@ -19,8 +19,9 @@ from service_tools import GROUND, T0, WAIT_S, Run, cloud, config, metadata, odom
 from roughmap_schemas import RunMetadata, encode_cloud
 from roughmap_schemas.run_metadata import RECORD_NAME
 from roughmap_service.log_file import Kind, LogFile, LogRecord
+from roughmap_service.log_items import Rotate, Sync
 from roughmap_service.log_reader import find_files, read_metadata
-from roughmap_service.log_writer import LogWriter, Rotate, Sync
+from roughmap_service.log_writer import LogWriter
 
 
 @pytest.fixture

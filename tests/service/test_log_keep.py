@@ -6,9 +6,10 @@ import pytest
 from service_tools import SECOND, T0, WAIT_S, Run, metadata
 
 from roughmap_service.log_file import Kind, LogRecord
+from roughmap_service.log_items import Rotate
 from roughmap_service.log_keep import delete_oldest
 from roughmap_service.log_reader import find_files
-from roughmap_service.log_writer import LogWriter, Rotate
+from roughmap_service.log_writer import LogWriter
 from roughmap_service.snapshots import cut_of
 from roughmap_service.store import Cut
 

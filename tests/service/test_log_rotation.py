@@ -7,7 +7,8 @@ import pytest
 from service_tools import T0, WAIT_S, Run, events_of, inputs_of, metadata, odometry, read_back, starts_of
 
 from roughmap_service.log_file import Kind, LogRecord
-from roughmap_service.log_writer import LogWriter, Rotate
+from roughmap_service.log_items import Rotate
+from roughmap_service.log_writer import LogWriter
 
 
 def point(number: int, received: int, stamp: int = T0) -> LogRecord:

@@ -12,7 +12,7 @@ from service_tools import WAIT_S, Run, events_of, inputs_of, read_back, starts_o
 
 from roughmap_service import log_writer
 from roughmap_service.log_file import Kind, LogRecord
-from roughmap_service.log_writer import Sync
+from roughmap_service.log_items import Sync
 
 
 class FullDisk(io.FileIO):
