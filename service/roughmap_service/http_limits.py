@@ -20,17 +20,17 @@ MAX_HEADERS = 16 << 10
 
 
 class BoundedProtocol(H11Protocol):
-    """One connection: closed at once if there are too many, and when no response completes in time, whoever is slow."""
+    """One connection: closed when no response completes in time, whoever is slow; and where there are too many, the one
+    that was heard last the longest ago: who holds all of them open keeps no probe out, which is answered at once."""
 
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """As uvicorn, within the bounds."""
         super().connection_made(transport)
+        self._arm()
         if len(self.connections) > MAX_CONNECTIONS:
-            transport.abort()
-        else:
-            self._arm()
+            min(self.connections, key=_deadline_of)._let_go()
 
     def on_response_complete(self) -> None:
         """As uvicorn; the next response has its own time."""

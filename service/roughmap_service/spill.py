@@ -5,6 +5,7 @@ import fcntl
 import os
 import stat
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -36,7 +37,7 @@ Write = Callable[[int, Sequence[memoryview], int], int]
 
 
 class Spill(Shelf):
-    """The map's shelf. A context manager: the file is emptied at the start and removed at the end.
+    """The map's shelf. A context manager: the file is made anew at the start and removed at the end.
 
     Each tile in the file has a slice of 256 KiB, of which only its known rows are written, one after the other: what
     is left over is a hole, which costs no disk. They are not compressed: that costs more time than it saves.
@@ -60,7 +61,7 @@ class Spill(Shelf):
         self._check = np.zeros(0, np.uint64)
         self._left: list[int] = []
         self._slices = 0
-        self._file = _open_emptied(path)
+        self._file = _open_anew(path)
 
     @property
     def room(self) -> int:
@@ -160,21 +161,31 @@ class Spill(Shelf):
         self.close()
 
 
-def _open_emptied(path: Path) -> int:
-    """A descriptor of the file, made or emptied, held against other processes. SpillError if it can't be had."""
+def _open_anew(path: Path) -> int:
+    """A descriptor of the file, made anew, held against other processes. SpillError if it can't be had.
+
+    What lies there is never written to: it may be somebody else's, who would read in it, or another name of a file.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        with suppress(FileNotFoundError):
+            left = _held(path, 0)
+            path.unlink()
+            os.close(left)
+        return _held(path, os.O_CREAT | os.O_EXCL)
+    except BlockingIOError:
+        raise SpillError(f"{path}: held by another service; give this one its own map.spill_path") from None
     except OSError as error:
         raise SpillError(f"{path}: {error.strerror}; map.spill_path names a file that can be written") from None
+
+
+def _held(path: Path, flags: int) -> int:
+    """The plain file, opened and locked."""
+    file = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | flags, 0o600)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if not stat.S_ISREG(os.fstat(file).st_mode):
             raise SpillError(f"{path}: is no plain file; map.spill_path names one that may be emptied")
-        os.ftruncate(file, 0)
-    except BlockingIOError:
-        os.close(file)
-        raise SpillError(f"{path}: held by another service; give this one its own map.spill_path") from None
     except BaseException:
         os.close(file)
         raise

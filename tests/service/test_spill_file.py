@@ -89,16 +89,20 @@ def test_places_for_which_there_is_no_memory(spill: Spill, monkeypatch: pytest.M
     assert {tile: tiles_of(m)[tile] for tile in was} == was
 
 
-def test_the_file_is_emptied_at_the_start_and_removed_at_the_end(tmp_path: Path) -> None:
+def test_the_file_is_made_anew_at_the_start_and_removed_at_the_end(tmp_path: Path) -> None:
     path = tmp_path / "deep" / "tiles"
     with Spill(path, 10 * SLOT_BYTES), pytest.raises(SpillError, match="another service"):
         Spill(path, 10 * SLOT_BYTES)
     assert not path.exists()
     path.write_bytes(b"left over" * 100)
-    path.chmod(0o644)
-    with Spill(path, 10 * SLOT_BYTES):
+    path.chmod(0o666)
+    other_name = tmp_path / "of somebody else"
+    other_name.hardlink_to(path)
+    with Spill(path, 10 * SLOT_BYTES), other_name.open("rb") as left:
         assert path.stat().st_size == 0
-        assert path.stat().st_mode & 0o777 == 0o644, "as it was made"
+        assert path.stat().st_mode & 0o777 == 0o600, "who laid the old one there, open to all, reads nothing in it"
+        assert not path.samefile(other_name)
+        assert left.read() == b"left over" * 100
     with pytest.raises(SpillError, match="spill_path"):
         Spill(tmp_path, 10 * SLOT_BYTES)
     with pytest.raises(SpillError, match="no plain file"):
