@@ -21,7 +21,7 @@ MAX_HEADERS = 16 << 10
 
 class BoundedProtocol(H11Protocol):
     """One connection: closed when no response completes in time, whoever is slow; and where there are too many, the one
-    that was heard last the longest ago: who holds all of them open keeps no probe out, which is answered at once."""
+    that was opened or answered the longest ago: who holds many open keeps out no probe, which is answered at once."""
 
     _deadline: asyncio.TimerHandle | None = None
 
@@ -30,7 +30,10 @@ class BoundedProtocol(H11Protocol):
         super().connection_made(transport)
         self._arm()
         if len(self.connections) > MAX_CONNECTIONS:
-            min(self.connections, key=_deadline_of)._let_go()
+            connections: set[Any] = {*self.connections}
+            oldest = min(connections, key=lambda one: one._deadline.when())
+            self.connections.discard(oldest)  # now, since its end is told later: many may come at once
+            oldest._let_go()
 
     def on_response_complete(self) -> None:
         """As uvicorn; the next response has its own time."""

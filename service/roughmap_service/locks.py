@@ -22,6 +22,8 @@ def locked(directory: Path, store: Store | None) -> Iterator[None]:
     if store is not None:
         if store.path.is_dir():
             raise LockError(f"store.path: {store.path} is a folder; name a file, such as {store.path / 'map.db'}")
+        if store.path.is_symlink():
+            raise LockError(f"store.path: {store.path} is a link; name the file that it leads to")
         locks["store.path"] = store.path.with_name(store.path.name + ".lock")
     with ExitStack() as stack:
         for setting, path in locks.items():

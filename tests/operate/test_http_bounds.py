@@ -43,8 +43,10 @@ def test_connections_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         held = [open_raw(server, b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n") for _ in range(3)]
         try:
             assert all(one.recv(15) == b"HTTP/1.1 200 OK" for one in held)
-            with open_raw(server) as another:
-                assert rest(another) == b""
+            assert get(server, "/healthz")[0] == 200, "who holds all that there may be keeps no probe out"
+            assert rest(held[0]).endswith(b'{"alive":true}'), "the oldest one is closed in its place"
+            held[1].sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            assert held[1].recv(200)
         finally:
             for one in held:
                 one.close()

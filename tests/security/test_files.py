@@ -45,6 +45,13 @@ def test_a_link_in_the_way_of_the_lock_is_not_followed(tmp_path: Path) -> None:
     assert not (tmp_path / "made").exists()
 
 
+def test_a_link_in_the_place_of_the_store_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "map.db").symlink_to(tmp_path / "made")
+    told = last_words(tmp_path, store={"path": str(tmp_path / "map.db")})
+    assert f"store.path: {tmp_path / 'map.db'} is a link" in told
+    assert not (tmp_path / "made").exists()
+
+
 @pytest.mark.parametrize("suffix", [".part", ".rest", ".torn"])
 def test_a_link_in_the_way_of_a_repair_is_not_followed(tmp_path: Path, suffix: str) -> None:
     with Service(tmp_path) as service, connected(service) as feed:
