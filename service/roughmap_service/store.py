@@ -2,7 +2,7 @@
 
 import json
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,7 +13,7 @@ import xxhash
 import zstandard
 
 from roughmap import CELL_DTYPE, STATE_VERSION, RoughMap
-from roughmap.arrays import Records
+from roughmap.arrays import I8, Records
 from roughmap.frozen import Frozen
 
 from .disk import make_directory, sync_directory
@@ -27,9 +27,13 @@ SCHEMA = """
 CREATE TABLE IF NOT EXISTS cut (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS tiles (
     tx INTEGER NOT NULL, ty INTEGER NOT NULL, oldest_ns INTEGER NOT NULL, newest_ns INTEGER NOT NULL,
-    digest BLOB NOT NULL, records BLOB NOT NULL, PRIMARY KEY (tx, ty)
+    checksum BLOB NOT NULL, digest BLOB NOT NULL, records BLOB NOT NULL, PRIMARY KEY (tx, ty)
 );
 """
+
+
+READ_INDEX = "SELECT tx, ty, oldest_ns, newest_ns, checksum, digest"
+"""What is stored of a tile beside its records."""
 
 
 class StoreError(Exception):
@@ -115,11 +119,26 @@ class Store:
     def read_tiles(self) -> Iterator[StoredTile]:
         """All tiles, each checked against its digest. StoreError names the first that is damaged."""
         with self.reading() as db:
-            for tx, ty, oldest, newest, digest, blob in db.execute(
-                "SELECT tx, ty, oldest_ns, newest_ns, digest, records FROM tiles ORDER BY tx, ty"
-            ):
+            for *numbers, checksum, digest, blob in db.execute(f"{READ_INDEX}, records FROM tiles ORDER BY tx, ty"):
+                tx, ty, oldest, newest = self.checked([numbers], [checksum])[0].tolist()
                 records = self.unpacked(tx, ty, digest, blob)
                 yield StoredTile(tx, ty, oldest, newest, digest, records)
+
+    def checked(self, numbers: Sequence[Sequence[object]], checksums: Sequence[object]) -> I8:
+        """(T, 4) of the tiles' tx, ty, oldest and newest stamp as stored. StoreError if they are not what was written:
+        no digest covers the stamps."""
+        try:
+            table = np.array(numbers, np.int64)
+        except (ValueError, TypeError, OverflowError) as error:
+            raise self.damaged(str(error)) from None
+        for row, checksum in zip(table, checksums, strict=True):
+            if tile_checksum(row) != checksum:
+                raise self.damaged(f"the stamps of tile ({row[0]}, {row[1]})")
+        return table
+
+    def damaged(self, why: str) -> DamagedStore:
+        """The error of a store whose content can't be."""
+        return DamagedStore(f"{self.path}: damaged ({why}); move the file away to rebuild it")
 
     def unpacked(self, tx: int, ty: int, digest: object, blob: object) -> Records:
         """A tile's (4096,) records from what is stored of it. StoreError that names it if the digest is another."""
@@ -138,7 +157,7 @@ class Store:
             try:
                 rough_map.load_tile(tile.tx, tile.ty, tile.records, tile.oldest_ns, tile.newest_ns, tile.digest)
             except ValueError as error:
-                raise DamagedStore(f"{self.path}: damaged ({error}); move the file away to rebuild it") from None
+                raise self.damaged(str(error)) from None
 
     def write(self, cut: Cut, frozen: Frozen, after: int | None, went_on: Callable[[], None] = lambda: None) -> None:
         """Commit a cut: the tiles of ``frozen`` that changed after sequence ``after`` (None: all, and no others).
@@ -157,7 +176,7 @@ class Store:
                 if after is None:
                     db.execute("DELETE FROM tiles")
                 tiles = _rows(frozen, after, pack, went_on)
-                db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?, ?, ?, ?)", tiles)
+                db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?, ?, ?, ?, ?)", tiles)
                 db.execute("DELETE FROM cut")
                 texts = {name: json.dumps(value, allow_nan=False) for name, value in asdict(cut).items()}
                 db.executemany("INSERT INTO cut VALUES (?, ?)", [*texts.items(), ("checksum", _checksum(texts))])
@@ -237,6 +256,11 @@ def read_error(path: Path, error: Exception) -> StoreError:
     return kind(f"{path}: {str(error) or 'no memory to read it'}; it is no map.db, or damaged: {mend}")
 
 
+def tile_checksum(numbers: I8) -> bytes:
+    """Over a tile's tx, ty, oldest_ns and newest_ns, (4,)."""
+    return xxhash.xxh3_64_digest(numbers.tobytes())
+
+
 def _checksum(texts: Mapping[str, str]) -> str:
     """Over the rows of a cut."""
     return xxhash.xxh3_128_hexdigest(json.dumps(sorted(texts.items())).encode())
@@ -250,5 +274,6 @@ def _rows(
             continue
         went_on()
         raw = frozen.records(tx, ty).tobytes()
-        oldest, newest = frozen.stamps(tx, ty)
-        yield tx, ty, oldest, newest, bytes.fromhex(frozen.digest(tx, ty)), pack.compress(raw)
+        numbers = (tx, ty, *frozen.stamps(tx, ty))
+        checksum = tile_checksum(np.array(numbers, np.int64))
+        yield *numbers, checksum, bytes.fromhex(frozen.digest(tx, ty)), pack.compress(raw)

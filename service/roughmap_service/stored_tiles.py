@@ -12,7 +12,7 @@ from roughmap import RoughMap
 from roughmap.arrays import I4, I8, U1, Records
 from roughmap.shelf import copy_known_rows
 
-from .store import READ_ERRORS, TILE_BYTES, Cut, DamagedStore, Store, read_error
+from .store import READ_ERRORS, READ_INDEX, TILE_BYTES, Cut, Store, read_error
 
 READ_TILE = "SELECT CASE WHEN length(records) <= ? THEN records END FROM tiles WHERE tx = ? AND ty = ?"
 
@@ -35,26 +35,21 @@ def read_index(store: Store) -> TileIndex:
     """The index of all tiles, without their records. StoreError if it can be none."""
     numbers, digests = [np.zeros((0, 4), np.int64)], [b""]
     with store.reading() as db:
-        rows = db.execute("SELECT tx, ty, oldest_ns, newest_ns, digest FROM tiles ORDER BY tx, ty")
+        rows = db.execute(f"{READ_INDEX} FROM tiles ORDER BY tx, ty")
         while part := rows.fetchmany(CHUNK):
+            numbers.append(store.checked([row[:4] for row in part], [row[4] for row in part]))
             try:
-                numbers.append(np.array([row[:4] for row in part], np.int64))
-                digests.append(b"".join(row[4] for row in part))
-            except (ValueError, TypeError, OverflowError) as error:
-                raise damaged(store, str(error)) from None
+                digests.append(b"".join(row[5] for row in part))
+            except TypeError as error:
+                raise store.damaged(str(error)) from None
             if len(digests[-1]) != 16 * len(part):
-                raise damaged(store, "a digest is not of 16 bytes")
+                raise store.damaged("a digest is not of 16 bytes")
     table = np.concatenate(numbers)
     if len(table) and not (table[:, :2].min() >= -(1 << 31) and table[:, :2].max() < 1 << 31):
-        raise damaged(store, "a tile's number is not of 32 bits")
+        raise store.damaged("a tile's number is not of 32 bits")
     tx, ty, oldest, newest = table.T
     digest = np.frombuffer(b"".join(digests), np.uint8).reshape(-1, 16)
     return TileIndex(tx.astype(np.int32), ty.astype(np.int32), oldest.copy(), newest.copy(), digest)
-
-
-def damaged(store: Store, why: str) -> DamagedStore:
-    """The error of a store whose content can't be."""
-    return DamagedStore(f"{store.path}: damaged ({why}); move the file away to rebuild it")
 
 
 class StoredTiles:
@@ -122,4 +117,4 @@ def set_index(rough_map: RoughMap, cut: Cut, stored: StoredTiles, places: I4) ->
     try:
         rough_map.load_shelved(index.tx, index.ty, index.oldest_ns, index.newest_ns, index.digest, places)
     except ValueError as error:
-        raise damaged(stored.store, str(error)) from None
+        raise stored.store.damaged(str(error)) from None

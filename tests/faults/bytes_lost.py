@@ -12,6 +12,7 @@ from mcap.records import Message
 from report import Trial
 from service_tools import WAIT_S, Run, config, inputs_of
 
+from roughmap import RoughMap
 from roughmap_service.log_file import Kind
 from roughmap_service.log_reader import (
     DamagedLog,
@@ -171,6 +172,11 @@ def log_flips(trial: Trial, folder: Path, rng: random.Random, number: int) -> No
     logging.disable(logging.NOTSET)
 
 
+def _stamps(rough_map: RoughMap) -> list[tuple[int, int]]:
+    with rough_map.freeze() as frozen:
+        return [frozen.stamps(x, y) for x, y in frozen.tiles.tolist()]
+
+
 def store_flips(trial: Trial, folder: Path, rng: random.Random, number: int) -> None:
     """Flip one bit of the store: the map is that of the log, or the damage is named."""
     numbers = np.random.default_rng(rng.randrange(1 << 30))
@@ -179,7 +185,7 @@ def store_flips(trial: Trial, folder: Path, rng: random.Random, number: int) -> 
         _drive(run, 0, 6, numbers, 300)
         run.snapshot()
         _drive(run, 10, 2, numbers, 300)
-        digest = run.state.map.digest()
+        digest, stamps = run.state.map.digest(), _stamps(run.state.map)
     content = store.path.read_bytes()
     work = folder / "work"
     logging.disable(logging.ERROR)
@@ -195,6 +201,7 @@ def store_flips(trial: Trial, folder: Path, rng: random.Random, number: int) -> 
         try:
             back = recover(config(), work / "log", flipped)
             trial.expect(back.state.map.digest() == digest, f"{where}: another map")
+            trial.expect(_stamps(back.state.map) == stamps, f"{where}: tiles of other times")
             trial.note("without a bearing on the map" if back.cut is not None else "built anew from the log")
         except StoreError as error:
             trial.expect(str(flipped.path) in str(error), f"{where}: not named: {error}")

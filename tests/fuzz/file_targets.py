@@ -7,6 +7,7 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import xxhash
 
 from roughmap_schemas import ConfigFault, config_from
@@ -23,7 +24,7 @@ from roughmap_service.log_reader import (
     read_run,
 )
 from roughmap_service.log_repair import repair
-from roughmap_service.store import TILE_BYTES, Store, StoreError
+from roughmap_service.store import TILE_BYTES, Store, StoreError, tile_checksum
 from roughmap_service.stored_tiles import read_index
 
 
@@ -106,11 +107,14 @@ def stored(payload: bytes) -> None:
         with contextlib.suppress(ValueError):
             values.append(kinds.get(line[:1], lambda v: v.decode(errors="replace"))(line[1:]))
     values += [None] * 8
+    checksum = None
+    with contextlib.suppress(ValueError, TypeError, OverflowError):
+        checksum = tile_checksum(np.array(values[2:6], np.int64))
     with contextlib.closing(sqlite3.connect(path)) as db, db:
         db.execute("CREATE TABLE cut (name, value)")
-        db.execute("CREATE TABLE tiles (tx, ty, oldest_ns, newest_ns, digest, records)")
+        db.execute("CREATE TABLE tiles (tx, ty, oldest_ns, newest_ns, checksum, digest, records)")
         db.executemany("INSERT INTO cut VALUES (?, ?)", [tuple(values[:2]), ("state_version", values[2])])
-        db.execute("INSERT INTO tiles VALUES (?, ?, ?, ?, ?, ?)", tuple(values[2:8]))
+        db.execute("INSERT INTO tiles VALUES (?, ?, ?, ?, ?, ?, ?)", (*values[2:6], checksum, *values[6:8]))
     store(path.read_bytes())
 
 

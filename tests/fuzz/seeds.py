@@ -32,7 +32,7 @@ from roughmap_schemas import (
     model_bytes,
 )
 from roughmap_schemas.grid import encode_grid
-from roughmap_service.store import SCHEMA, TILE_BYTES, _checksum
+from roughmap_service.store import SCHEMA, TILE_BYTES, _checksum, tile_checksum
 
 T0 = 1_700_000_000 * 10**9
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -123,8 +123,9 @@ def stores() -> list[bytes]:
             db.executescript(SCHEMA)
             texts = {"run": json.dumps(RUN), "state_version": "1", "epoch": "1"}
             db.executemany("INSERT INTO cut VALUES (?, ?)", [*texts.items(), ("checksum", _checksum(texts))])
-            tile = (0, 0, 0, T0, xxhash.xxh3_128_digest(raw), zstandard.compress(raw))
-            db.execute("INSERT INTO tiles VALUES (?, ?, ?, ?, ?, ?)", tile)
+            checksum = tile_checksum(np.array([0, 0, 0, T0]))
+            tile = (0, 0, 0, T0, checksum, xxhash.xxh3_128_digest(raw), zstandard.compress(raw))
+            db.execute("INSERT INTO tiles VALUES (?, ?, ?, ?, ?, ?, ?)", tile)
         return [path.read_bytes()]
 
 

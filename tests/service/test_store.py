@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from roughmap import RoughMap
-from roughmap_service.store import Cut, OtherStateVersion, Store, StoreError
+from roughmap_service.store import Cut, DamagedStore, OtherStateVersion, Store, StoreError, tile_checksum
+from roughmap_service.stored_tiles import read_index
 
 CUT = Cut(
     run="a" * 32, epoch=3, sequence=1, input=17, record=20, low_water=12, configuration={"map": {"cell_size": 0.1}},
@@ -59,7 +60,8 @@ def test_only_what_changed_is_written(store: Store, ground: RoughMap) -> None:
     """Seen from a tile that was spoilt in the store: it stays so, for its cells did not change since."""
     write(store, ground)
     with closing(sqlite3.connect(store.path)) as db, db:
-        db.execute("UPDATE tiles SET oldest_ns = 1 WHERE tx = -3 AND ty = -3")
+        spoilt = tile_checksum(np.array([-3, -3, 1, 5_000_000_007]))
+        db.execute("UPDATE tiles SET oldest_ns = 1, checksum = ? WHERE tx = -3 AND ty = -3", (spoilt,))
     before = ground.sequence
     ground.add([[25.0, 25.0, 1.0]], stamp_ns=6_000_000_000)
     write(store, ground, after=before)
@@ -94,6 +96,16 @@ def test_a_damaged_tile_is_named(store: Store, ground: RoughMap) -> None:
         db.execute("UPDATE tiles SET digest = zeroblob(16) WHERE tx = 2 AND ty = 1")
     with pytest.raises(StoreError, match=r"map\.db: tile \(2, 1\) is damaged"):
         list(store.read_tiles())
+
+
+@pytest.mark.parametrize("change", ["oldest_ns = 1", "newest_ns = newest_ns + 256", "checksum = x'00'", "tx = tx + 40"])
+def test_a_damaged_stamp_is_named(store: Store, ground: RoughMap, change: str) -> None:
+    write(store, ground)
+    with closing(sqlite3.connect(store.path)) as db, db:
+        db.execute(f"UPDATE tiles SET {change} WHERE tx = 2 AND ty = 1")
+    for read_again in (lambda: list(store.read_tiles()), lambda: read_index(store)):
+        with pytest.raises(DamagedStore, match=r"map\.db: damaged \(the stamps of tile \(4?2, 1\)"):
+            read_again()
 
 
 def test_what_is_no_store(store: Store, ground: RoughMap) -> None:
