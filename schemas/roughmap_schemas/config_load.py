@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from roughmap_schemas.config import Config, without_secrets
 from roughmap_schemas.faults import ConfigFault
-from roughmap_schemas.keys import TEMPLATES
+from roughmap_schemas.keys import NAME_PATTERN, NAME_WORDS, TEMPLATES
 from roughmap_schemas.values import LEAST
 
 DEFAULT_FILE: Final = Path("roughmap.toml")
@@ -198,7 +198,9 @@ def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> s
     elif first["type"] == "missing":
         text = "is required"
     elif first["type"] == "string_pattern_mismatch":
-        text = f"must match {text.partition(' pattern ')[2]}; found {_found(first['input'], parts[0] if parts else '')}"
+        pattern = text.partition(" pattern ")[2]
+        must = f"must be {NAME_WORDS}" if NAME_PATTERN.removesuffix(r"\Z") in pattern else f"must match {pattern}"
+        text = f"{must}; found {_found(first['input'], parts[0] if parts else '')}"
     elif first["type"] in ("model_type", "dict_type"):
         how = f" (its values one by one, as {dotted}.NAME=VALUE)" if isinstance(first["input"], str) else ""
         text = f"must be a table{how}; found {_found(first['input'], parts[0] if parts else '')}"
