@@ -6,7 +6,7 @@ import matplotlib as mpl
 import numpy as np
 from figures import Row
 from matplotlib import pyplot as plt
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 LOOK = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.3}
 
@@ -89,7 +89,8 @@ def _latency(rows: dict[str, Row], folder: Path) -> Path | None:
     axes.set(
         xscale="log", yscale="log", xlabel="ms", ylabel="part that took longer", title="while scans come in at 10 Hz"
     )
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(ScalarFormatter())
-    axes.xaxis.set_minor_formatter(ScalarFormatter())
+    axes.xaxis.set_minor_formatter(NullFormatter())
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return _save(figure, folder / "latency.png")
