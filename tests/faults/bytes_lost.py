@@ -90,6 +90,10 @@ def _cut_all(trial: Trial, folder: Path, rng: random.Random, number: int | None,
     path = work / last.name
     before, rewritten, there = -1, b"", []
     for cut in _places(content, rng, number, FOOTER if closed else LAST):
+        for torn in work.glob(
+            f"{last.name}.*"
+        ):  # what the last cut's repair kept: each further one would look for a name
+            torn.unlink()
         path.write_bytes(content[:cut])
         where = f"cut at byte {cut} of {len(content)}"
         try:
