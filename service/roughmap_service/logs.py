@@ -25,6 +25,12 @@ def note(logger: logging.Logger, level: int, event: str, text: str, *, always: b
     logger.log(level, "%s", text, extra={"event": event, "fields": fields, "always": always})
 
 
+def printable(text: str) -> str:
+    """The text with what prints nothing written out (``\\x1b``): a terminal obeys it, and a line's end forges a line.
+    What robots and others send is told in messages."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 def set_up(log_format: Format, level: str, stream: TextIO) -> None:
     """Send all log lines to ``stream``; "auto" is text on a terminal and JSON elsewhere."""
     as_text = log_format == "text" or (log_format == "auto" and stream.isatty())
@@ -102,7 +108,7 @@ class TextFormatter(logging.Formatter):
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's own name
         """The line, with how many like it were not told."""
         repeats = getattr(record, "repeats", 0)
-        return super().formatMessage(record) + (f" (and {repeats} more like it before)" if repeats else "")
+        return printable(super().formatMessage(record)) + (f" (and {repeats} more like it before)" if repeats else "")
 
 
 class JsonFormatter(logging.Formatter):

@@ -5,6 +5,8 @@ from typing import Any, Literal
 
 import click
 
+from roughmap_service.logs import printable
+
 Verdict = Literal["ok", "note", "wrong"]
 
 COLOURS = {"ok": "green", "note": "yellow", "wrong": "red"}
@@ -29,8 +31,8 @@ def show(findings: list[Finding]) -> None:
     width = max((len(finding.area) for finding in findings), default=0)
     for finding in findings:
         head = click.style(f"{finding.verdict:5}", fg=COLOURS[finding.verdict], bold=finding.verdict == "wrong")
-        click.echo(f"{head}  {finding.area:{width}}  {finding.text}")
+        click.echo(f"{head}  {finding.area:{width}}  {printable(finding.text)}")
         if finding.mend:
-            click.echo(f"{'':5}  {'':{width}}  -> {finding.mend}")
+            click.echo(f"{'':5}  {'':{width}}  -> {printable(finding.mend)}")
     wrong, notes = (sum(finding.verdict == verdict for finding in findings) for verdict in ("wrong", "note"))
     click.echo(f"{wrong} wrong, {notes} to note, {len(findings) - wrong - notes} ok")

@@ -12,6 +12,7 @@ from roughmap_schemas.config import Config
 from roughmap_schemas.config_load import LoadedConfig
 from roughmap_service.cli.options import Failure, config_options, json_option, load, reachable
 from roughmap_service.http_token import HttpError, token_of
+from roughmap_service.logs import printable
 from roughmap_service.readiness import HINDERS_NOTHING, Problem
 
 TIMEOUT_S = 3.0
@@ -47,7 +48,7 @@ def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], a
         click.echo(json.dumps({"works": works, "map": config.map.name, "problems": problems}))
     else:
         told = "; ".join(f"{name}: {cause}" if cause else name for name, cause in problems.items())
-        click.echo(f"{config.map.name}: {told or 'ok'}")
+        click.echo(printable(f"{config.map.name}: {told or 'ok'}"))
     return 0 if works else 1
 
 

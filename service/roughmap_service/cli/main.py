@@ -133,8 +133,9 @@ def _text(error: Exception) -> str:
 
 
 def _complain(message: str, code: int) -> int:
-    line = " ".join(message.split())
-    click.echo(f"roughmap: {line}", err=True)
+    from roughmap_service.logs import printable
+
+    click.echo(f"roughmap: {printable(' '.join(message.split()))}", err=True)
     return code
 
 

@@ -18,6 +18,7 @@ from roughmap_service.cli.options import (
     load_pictures,
     zenoh_option,
 )
+from roughmap_service.logs import printable
 
 if TYPE_CHECKING:
     from roughmap_client import Region
@@ -151,7 +152,7 @@ def _table(report: dict[str, Any]) -> None:
     rows, columns = report["shape"]
     x, y = report["origin"]
     click.echo(
-        f"{report['map']}: {columns} x {rows} cells of {report['cell_size']:g} m from ({x:g}, {y:g}), "
+        f"{printable(report['map'])}: {columns} x {rows} cells of {report['cell_size']:g} m from ({x:g}, {y:g}), "
         f"sequence {report['sequence']}, answered in {report['answer_s'] * 1e3:.1f} ms"
     )
     table = Table(box=None, pad_edge=False)

@@ -16,6 +16,7 @@ from roughmap_schemas import IntegrationEvent, decode_event
 from roughmap_schemas.faults import ContractError
 from roughmap_schemas.messages import MapStatus
 from roughmap_schemas.reasons import MEANING, CloudReason, PointReason, PoseReason, Reason, Refusal
+from roughmap_service.logs import printable
 
 WINDOW_S = 10.0
 """Seconds over which a robot's rates are told, as the status tells the map's."""
@@ -100,9 +101,10 @@ def frame(status: MapStatus, robots: list[Row], silent_s: float) -> RenderableTy
 
 def _head(status: MapStatus, silent_s: float) -> Text:
     head = Text.assemble(
-        (status.map, "bold"), "  ", (status.health, STYLES[status.health]), f"  sequence {status.sequence:,}",
+        (printable(status.map), "bold"), "  ", (status.health, STYLES[status.health]),
+        f"  sequence {status.sequence:,}",
         f" ({status.durable_sequence:,} on the disk)  epoch {status.epoch}  up {_duration(status.uptime_s)}",
-        (f"\nroughmap {status.version}, instance {status.instance[:8]}", "dim"),
+        (f"\nroughmap {printable(status.version)}, instance {printable(status.instance[:8])}", "dim"),
     )  # fmt: skip
     if silent_s >= 2.0:
         head.append(f"\nno answer for {silent_s:.0f} s; what follows is from before", "bold red")
@@ -146,7 +148,7 @@ def _resources(status: MapStatus) -> Table:
         extent = f", {xmax - xmin:,.0f} x {ymax - ymin:,.0f} m"
     table.add_row("tiles", f"{tiles.resident:,} in memory, {tiles.spilled:,} on disk{extent}")
     fault = "" if log.ok else ", CAN'T BE WRITTEN"
-    name = Path(log.file).name if log.file else "none"
+    name = printable(Path(log.file).name) if log.file else "none"
     table.add_row("log", Text(f"{_bytes(log.bytes)} in {name}{fault}", "" if log.ok else "bold red"))
     return table
 
@@ -175,7 +177,12 @@ def _robots(status: MapStatus, robots: list[Row]) -> Table:
         rejected = ", ".join(f"{reason} {n:,}" for reason, n in row.rejected.items()) or "0"
         counts = (f"{n:,}" for n in (status.gaps.get(name, 0), status.jumps.get(name, 0)))
         table.add_row(
-            name, f"{row.clouds_per_s:.1f}", f"{row.points_per_s:,.0f}", f"{row.integrated:,}", rejected, *counts
+            Text(printable(name)),
+            f"{row.clouds_per_s:.1f}",
+            f"{row.points_per_s:,.0f}",
+            f"{row.integrated:,}",
+            rejected,
+            *counts,
         )
     return table
 
