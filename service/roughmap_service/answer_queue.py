@@ -83,12 +83,12 @@ class AnswerQueue:
         with self._condition:
             if self._closed:
                 raise QueryFault(QueryCode.SHUTTING_DOWN, "the service is shutting down")
-            self._number += 1
             job = _Waiting(self._number + cells // CELLS_A_PLACE, cells, run, refuse)
             if len(self._waiting) >= self._limit:
                 if not self._waiting or self._waiting[-1] <= job:
                     raise busy
                 last = self._waiting.pop()
+            self._number += 1  # those alone that wait: else who is turned away a hundred times makes all others late
             bisect.insort(self._waiting, job)
             # Any worker may take a small one; to wake them all costs as much as a small answer.
             self._condition.notify(1 if cells <= SMALL_CELLS else len(self._threads))

@@ -135,8 +135,9 @@ def test_where_too_many_wait_a_small_one_takes_the_place_of_a_large_one() -> Non
         jobs.wait("first")
         for name in ("a", "b", "c"):
             jobs.add(name, 20 * CELLS_A_PLACE)
-        with pytest.raises(QueryFault, match="busy"):
-            jobs.add("d", 20 * CELLS_A_PLACE)
+        for _ in range(30):  # however often it is turned away
+            with pytest.raises(QueryFault, match="busy"):
+                jobs.add("d", 20 * CELLS_A_PLACE)
         jobs.add("small", 1)
         assert jobs.refused == [("c", "busy")]
         jobs.let["first"].set()
