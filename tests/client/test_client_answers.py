@@ -1,6 +1,7 @@
 """What the client hands on: regions, tiles, changes, cells, status; against the map itself."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -106,6 +107,16 @@ def test_one_place_and_none(client: RoughMapClient) -> None:
     assert client.cells((0.25, -0.35)).i.tolist() == [2]
     nothing = client.cells(np.empty((0, 2)))
     assert (nothing.i.shape, nothing["mean_height"].shape, nothing.states) == ((0,), (0,), [])
+
+
+def test_threads_that_share_a_client_each_get_their_own_answer(client: RoughMapClient) -> None:
+    boxes = [(0.1 * x, -1.0, 0.1 * x + 1.0, 1.0) for x in range(-40, 40, 5)]
+    alone = [client.region(box) for box in boxes]
+    assert len({region["mean_height"].tobytes() for region in alone}) == len(boxes)
+    with ThreadPoolExecutor(8) as pool:
+        for region, expected in zip(pool.map(client.region, boxes * 4), alone * 4, strict=True):
+            assert region.origin == expected.origin
+            np.testing.assert_array_equal(region["mean_height"], expected["mean_height"])
 
 
 def test_status(served: Served, client: RoughMapClient) -> None:

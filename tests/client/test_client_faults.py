@@ -26,15 +26,15 @@ from roughmap_client import (
 from roughmap_schemas import CellAnswer, model_bytes
 from roughmap_schemas.encodings import GRID, json_encoding
 
-Ask = Callable[[RoughMapClient], Any]
+Ask = Callable[..., Any]
 
 CALLS: dict[str, Ask] = {
-    "region": lambda c: c.region((0, 0, 1, 1)),
-    "tiles": lambda c: c.tiles(),
-    "changes": lambda c: c.changes(),
-    "cells": lambda c: c.cells([(0, 0)]),
-    "status": lambda c: c.status(),
-    "ingest": lambda c: c.ingest(b"a cloud", "mule"),
+    "region": lambda c, **more: c.region((0, 0, 1, 1), **more),
+    "tiles": lambda c, **more: c.tiles(**more),
+    "changes": lambda c, **more: c.changes(**more),
+    "cells": lambda c, **more: c.cells([(0, 0)], **more),
+    "status": lambda c, **more: c.status(**more),
+    "ingest": lambda c, **more: c.ingest(b"a cloud", "mule", **more),
 }
 ASKED = {"region", "tiles", "cells", "status"}
 KEYS = {"region": "maps/site/region", "tiles": "maps/site/tiles/*/*/*", "cells": "maps/site/cells",
@@ -58,6 +58,12 @@ def client(pair: Pair) -> Iterator[RoughMapClient]:
 def test_nobody_is_there(pair: Pair, call: str) -> None:
     with RoughMapClient("site", session=pair[1], timeout=0.3) as client, pytest.raises(NoAnswer):
         CALLS[call](client)
+
+
+@pytest.mark.parametrize("call", CALLS)
+def test_a_calls_own_limit_holds_in_place_of_the_clients(pair: Pair, call: str) -> None:
+    with RoughMapClient("site", session=pair[1], timeout=1e6) as client, pytest.raises(NoAnswer):
+        CALLS[call](client, timeout=0.3)
 
 
 @pytest.mark.parametrize("call", CALLS)

@@ -113,12 +113,15 @@ def test_nobody_can_pose_as_the_router(router: str, certificates: Certificates, 
     assert not refused(role_config("planner", router, certificates.good))
 
 
+def without_roles(certificates: Path) -> dict[str, Any]:
+    """The four lines of SECURITY.md, no router."""
+    files = {"authority": "authority.pem", "certificate": "service.pem", "private_key": "service.key"}
+    return {"listen": ["tls/127.0.0.1:0"], **{name: str(certificates / file) for name, file in files.items()}}
+
+
 def test_the_service_itself_lets_in_nobody_without_a_certificate(certificates: Certificates, tmp_path: Path) -> None:
-    """Four lines of settings, no router: who has a certificate of the authority gets in, and nobody else."""
-    files = {n: str(certificates.good / f) for n, f in (
-        ("authority", "authority.pem"), ("certificate", "service.pem"), ("private_key", "service.key"),
-    )}  # fmt: skip
-    with Service(tmp_path, zenoh={"listen": ["tls/127.0.0.1:0"], **files}) as service:
+    """Who has a certificate of the authority gets in, and nobody else."""
+    with Service(tmp_path, zenoh=without_roles(certificates.good)) as service:
         (endpoint,) = service.ready()["endpoints"]
         with RoughMapClient(
             "site", config=role_config("planner", endpoint, certificates.good), timeout=WAIT_S
@@ -167,11 +170,35 @@ def test_a_robot_that_gossips_is_not_followed_around_the_router(certificates: Ce
             assert system.settled().input == before.input
 
 
+def make_short(folder: Path, certificates: Certificates) -> None:
+    """Certificates of the good authority that end in 5 s."""
+    for name in ("authority.pem", "authority.key"):
+        shutil.copy(certificates.good / name, folder / name)
+    runpy.run_path(str(DOCKER / "certificates.py"))["make"](folder, [], [], days=5 / 86400)
+
+
+def ask_on(client: RoughMapClient) -> None:
+    """Each time an answer, as long as the link is there."""
+    until = time.monotonic() + WAIT_S
+    while time.monotonic() < until:
+        client.status(timeout=3.0)
+
+
+def test_a_link_to_the_service_itself_ends_with_its_certificate(certificates: Certificates, tmp_path: Path) -> None:
+    with Service(tmp_path, zenoh=without_roles(certificates.good)) as service:
+        (endpoint,) = service.ready()["endpoints"]
+        make_short(tmp_path, certificates)
+        config = put_settings(role_config("planner", endpoint, certificates.good), **as_service(tmp_path))
+        with RoughMapClient("site", config=config, timeout=WAIT_S) as client:
+            assert client.status().map == "site"
+            with pytest.raises(NoAnswer):
+                ask_on(client)
+        assert service.stop() == 0
+
+
 def test_a_link_ends_with_its_certificate(router: str, certificates: Certificates, tmp_path: Path) -> None:
     """And isn't made again: a session that came in while it was valid is out for good."""
-    for name in ("authority.pem", "authority.key"):
-        shutil.copy(certificates.good / name, tmp_path / name)
-    runpy.run_path(str(DOCKER / "certificates.py"))["make"](tmp_path, [], [], days=5 / 86400)
+    make_short(tmp_path, certificates)
     token = "maps/site/alive/short"
     seen: Gathered[zenoh.SampleKind] = Gathered()
     with (
