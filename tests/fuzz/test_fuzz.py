@@ -20,6 +20,7 @@ the bound on a log's chunk lies above this, and no input here has a reason to co
 
 @pytest.mark.parametrize("target", TARGETS)
 def test_the_corpus(target: str) -> None:
+    assert corpus_of(target)
     for path in corpus_of(target):
         payload = path.read_bytes()
         tracemalloc.start()
@@ -56,3 +57,15 @@ def test_a_finding_is_left_with_the_line_that_shows_it_again(tmp_path: Path) -> 
     again = [sys.executable, str(here / "run.py"), "--only", "events", "--input", str(found)]
     good = subprocess.run(again, capture_output=True, text=True, check=True)
     assert good.stdout == f"nothing found with {found}\n"
+
+
+def test_the_command_ends_with_1_and_the_line_of_each_finding(tmp_path: Path) -> None:
+    program = (
+        "import run, sys; sys.argv = ['run.py', '--only', 'events', '--folder', sys.argv[1]]; "
+        "run.one = lambda name, _, folder: run.Outcome(name, '1', '-', [folder / 'events-crash'], False); "
+        "sys.exit(run.main())"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path)]
+    done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stderr
+    assert f'again: make fuzz ARGS="--only events --input {tmp_path}/events-crash"' in done.stdout

@@ -1,10 +1,11 @@
 """`make soak` and `make overload`, shortened: whether they are whole. Of times nothing is asserted here."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from overload import overload
+from overload import Measured, main, overload
 from samples import growth
 from soak import RESTARTS, WARM, Soak, Soaked, judge
 from soak_picture import draw
@@ -19,6 +20,17 @@ def test_twice_as_much_as_it_can_take(tmp_path: Path) -> None:
     """Everything sent is told of, no pose is lost, and it says that it is overloaded, and that it no longer is."""
     found = overload(tmp_path, SECONDS, lambda _: None, rate=RATE)
     assert not found.broken, (found.broken, found.numbers)
+
+
+def test_an_overload_that_does_not_hold_ends_with_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    numbers = {"times": 1.0, "back after s": 1.0}
+    monkeypatch.setattr(sys, "argv", ["overload.py"])
+    for broken, slow in ((["it broke"], {}), ([], {"times": 5.1}), ([], {"back after s": None})):
+        monkeypatch.setattr("overload.overload", lambda *_, b=broken, s=slow: Measured(b, {**numbers, **s}))
+        assert main() == 1
+        assert "BROKEN: " in capsys.readouterr().out
 
 
 def test_a_soak_run_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
