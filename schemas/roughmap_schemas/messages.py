@@ -134,7 +134,7 @@ class CellAnswer(Message):
 
 
 class QueryRecord(Message):
-    """What the log keeps of a query: the whole selector, what was answered, how long it took."""
+    """What the log keeps of a query: the selector (2,000 characters of it), what was answered, how long it took."""
 
     selector: str
     tiles: Number

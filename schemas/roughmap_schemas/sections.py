@@ -153,6 +153,8 @@ class InputConfig(Section):
     placed_sigma: NotNegative = 0.02
     max_points: AtLeastOne = 4_000_000
     max_message: Size = 64 << 20
+    """Bytes of a message. A larger one is refused as `too_large`; one of more than twice as many is dropped before it
+    is whole, and nobody is told: a publisher's numbering shows the gap."""
     queue_limit: Size = 64 << 20
     duplicates: NotNegativeWhole = 10_000
     """Messages remembered, so that the same bytes sent again enter the map once; a reset does not forget them, and

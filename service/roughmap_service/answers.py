@@ -35,6 +35,9 @@ CODES: tuple[tuple[type[Exception], QueryCode], ...] = (
 )
 """What an error that is no `Fault` means to the asker; the first that fits."""
 
+MAX_TOLD = 2000
+"""Characters of a selector that the log keeps: a well-formed one has fewer, and others may have megabytes."""
+
 CONTROL_PLACES = 4
 """Operators' requests that may wait: they come one by one, by hand."""
 
@@ -72,7 +75,9 @@ class Question:
         """What the log keeps of it."""
         selector = f"{self.key}?{self.parameters}" if self.parameters else self.key
         duration_ns = time.monotonic_ns() - self.started
-        return QueryRecord(selector=selector, tiles=tiles, sequence=sequence, duration_ns=duration_ns, outcome=outcome)
+        return QueryRecord(
+            selector=selector[:MAX_TOLD], tiles=tiles, sequence=sequence, duration_ns=duration_ns, outcome=outcome
+        )
 
 
 def as_fault(error: Exception) -> tuple[str, str]:

@@ -46,7 +46,7 @@ from .spill import Spill
 from .status import Progress, Status, StatusPublisher
 from .store import Store
 from .tile_reply import Identity
-from .transport import check_exposure, claim, endpoints, open_session, zenoh_config
+from .transport import bound_messages, check_exposure, claim, endpoints, open_session, zenoh_config
 from .updates import Updates
 from .view import View
 from .warmup import warm_up
@@ -88,6 +88,7 @@ def serve(
     keys = Keys(config.map.name, config.keys)
     directory, store = Path(config.log.directory), Store(Path(config.store.path)) if config.store.path else None
     session_config = zenoh_config(loaded)
+    bound_messages(session_config, config.input.max_message)
     check_exposure(session_config, loaded, insecure=insecure)
     with ExitStack() as stack:
         stack.enter_context(locked(directory, store))

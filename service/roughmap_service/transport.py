@@ -8,7 +8,7 @@ from urllib.parse import quote
 
 import zenoh
 
-from roughmap_client.access import add_access, endpoints_of, read_zenoh_file, told
+from roughmap_client.access import add_access, endpoints_of, read_zenoh_file, setting, told
 from roughmap_schemas import ConfigFault, Keys
 from roughmap_schemas.config import without_secrets
 from roughmap_schemas.config_load import LoadedConfig
@@ -19,6 +19,10 @@ log = logging.getLogger(__name__)
 
 ADMIN_SECONDS = 5.0
 """How long the session's own admin space may take to answer: it is asked in this process."""
+
+
+LEAST_BOUND = 4 << 20
+"""Bytes that a message may always have: a question may come with 1 MiB of places."""
 
 
 class TransportError(Exception):
@@ -49,6 +53,13 @@ def zenoh_config(loaded: LoadedConfig) -> zenoh.Config:
     config.insert_json5("adminspace/enabled", "true")
     config.insert_json5("adminspace/permissions", json.dumps({"read": True, "write": False}))
     return config
+
+
+def bound_messages(config: zenoh.Config, largest: int) -> None:
+    """Have Zenoh drop messages of more than twice ``largest`` bytes: it puts each together in memory, up to 1 GiB by
+    itself, before anybody here can refuse it. Up to that they are refused by name, and counted."""
+    path = "transport/link/rx/max_message_size"
+    config.insert_json5(path, str(min(setting(config, path), max(2 * largest, LEAST_BOUND))))
 
 
 def check_exposure(config: zenoh.Config, loaded: LoadedConfig, *, insecure: bool) -> None:

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from processes import LEVEL, T0, running
+from net import WAIT_S
+from processes import LEVEL, T0, Service, connected, read_log, running
 
 from roughmap_client.asking import ask
 from roughmap_schemas import QueryError, encode_odometry
@@ -11,6 +12,7 @@ from roughmap_service.intake import InputMessage, Intake
 from roughmap_service.log_file import Kind
 
 S = 10**9
+MIB = 1 << 20
 
 
 def test_poses_that_wait_to_be_taken_up() -> None:
@@ -28,6 +30,35 @@ def test_poses_that_wait_to_be_taken_up() -> None:
     put(5)
     assert [message.payload for message in intake.take(0.0)[0]] == [b"5"]
     assert counters.snapshot().refused == {"busy": 2}
+
+
+def test_a_message_too_large_to_be_put_together(tmp_path: Path) -> None:
+    """What is too large is refused by name; what is far too large is never in memory, and the link goes on."""
+
+    def peak(service: Service) -> int:
+        status = Path(f"/proc/{service.process.pid}/status").read_text()
+        return int(status.partition("VmHWM:")[2].split()[0]) << 10
+
+    with Service(tmp_path, input={"max_message": MIB}) as service, connected(service) as feed:
+        assert feed.refused("points", "rover", bytes(2 * MIB)) == "too_large"
+        feed.settle()
+        before = peak(service)
+        for kind in ("points", "odometry"):
+            feed.put(kind, "rover", bytes(128 * MIB))
+        feed.session.get("maps/site/cells", payload=bytes(128 * MIB), timeout=0.1)
+        assert feed.settle().refused == {"too_large": 1}
+        assert peak(service) - before < 64 * MIB
+
+
+def test_a_selector_of_megabytes_does_not_fill_the_log(tmp_path: Path) -> None:
+    with Service(tmp_path) as service, connected(service) as feed:
+        (refusal,) = feed.session.get("maps/site/region?bbox=0,0,1,1;x=" + "y" * MIB, timeout=WAIT_S)
+        assert refusal.err is not None
+        assert QueryError.model_validate_json(refusal.err.payload.to_bytes()).code == "too_large"
+        assert service.stop() == 0
+    (record,) = [message.data for message in read_log(service.log) if message.topic == "maps/site/queries"]
+    assert b"maps/site/region?bbox=0,0,1,1;x=yyy" in record
+    assert len(record) < 4096
 
 
 def test_robots_and_poses(tmp_path: Path) -> None:
