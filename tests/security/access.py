@@ -5,7 +5,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -123,8 +123,9 @@ class System:
     service: Service
     sessions: dict[str, zenoh.Session]
     endpoint: str
+    another: Callable[[str], zenoh.Session]
+    """Opens one more session of a role."""
     stamp_ns: int = T0
-    last: tuple[int, int] = (0, 0)
     clients: dict[str, RoughMapClient] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -177,11 +178,10 @@ def running_system(directory: Path, certificates: Path, how: str) -> Iterator[Sy
         store = {"path": str(directory / "map.db")}
         service = stack.enter_context(Service(directory, **settings, store=store))
         endpoint = [*service.ready()["endpoints"], *settings["zenoh"].get("connect", [])][0]
-        sessions = {
-            role: stack.enter_context(
-                zenoh.open(role_config(role, endpoint, certificates, password=PASSWORDS[role] if passwords else None))
-            )
-            for role in ROLES
-        }
-        yield System(service, sessions, endpoint)
+
+        def opened(role: str) -> zenoh.Session:
+            password = PASSWORDS[role] if passwords else None
+            return zenoh.open(role_config(role, endpoint, certificates, password=password))
+
+        yield System(service, {role: stack.enter_context(opened(role)) for role in ROLES}, endpoint, opened)
         assert service.stop() == 0, service.err

@@ -130,6 +130,18 @@ def answers_as_service(system: System, role: str) -> bool:
         return bool(asked.items)
 
 
+def commands_as_service(system: System, role: str) -> bool:
+    """Whether an operator's command reaches a queryable of a role, which would say that it is done."""
+    asked: Gathered[str] = Gathered()
+    key = "maps/site/control/snapshot"
+    with system.sessions[role].declare_queryable(key, lambda query: asked(str(query.key_expr)), complete=True):
+        system.fence(role)
+        with system.another("operator") as operator:
+            assert list(operator.get(key, target=zenoh.QueryTarget.ALL, timeout=WAIT_S))
+        system.fence(role)
+        return bool(asked.items)
+
+
 def lives_as_service(system: System, role: str) -> bool:
     """Whether a role can keep a service from starting, by a token of an instance that isn't."""
     other = "operator" if role == "planner" else "planner"
@@ -197,6 +209,7 @@ CASES: dict[str, tuple[Attempt, frozenset[str]]] = {
         for key in ("maps/site/events", "maps/site/status", "maps/site/updates/0/0/0")
     },
     "answer in its place": (answers_as_service, NOBODY),
+    "be commanded in its place": (commands_as_service, NOBODY),
     "live in its place": (lives_as_service, NOBODY),
     "see it alive": (sees_the_service_alive, PLANNERS),
 }
