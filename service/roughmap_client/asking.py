@@ -89,8 +89,10 @@ def ask(
     timeout: float,
     payload: bytes | None = None,
     encoding: str | None = None,
+    single: bool = False,
 ) -> Answer:
-    """Ask, and wait at most ``timeout`` seconds for the last reply.
+    """Ask, and wait at most ``timeout`` seconds for the last reply; of a ``single`` answer, for a second one, which
+    makes both useless.
 
     Consolidation is NONE: replies come as they are sent. The callback only copies and appends, so Zenoh's queue between
     network and callback stays short however many tiles come. Raises NoAnswer if the session is closed.
@@ -115,6 +117,8 @@ def ask(
                         replier=str(reply.replier_id),
                     )
                 )
+                if single and len(answer.parts) > 1:
+                    ended.set()
             elif error is not None:
                 payload = error.payload.to_bytes()
                 if reply.replier_id is None or payload == ZENOH_TIMEOUT:

@@ -284,7 +284,10 @@ class RoughMapClient:
         while True:
             left = max(until - time.monotonic(), 0.001)
             try:
-                answer = ask(self._session, selector, timeout=min(left, attempt), payload=payload, encoding=encoding)
+                answer = ask(
+                    self._session, selector, timeout=min(left, attempt), payload=payload, encoding=encoding,
+                    single=take is Answer.single,
+                )  # fmt: skip
                 return take(answer)
             except QueryRefused as refused:
                 if refused.code not in PASSING or time.monotonic() + AGAIN_S >= until:

@@ -19,12 +19,18 @@ from roughmap_schemas import (
     json_encoding,
     parse_model,
 )
+from roughmap_schemas.grid import MAX_DATA
+from roughmap_schemas.layers import LAYERS
 from roughmap_schemas.messages import Message
 
 M = TypeVar("M", bound=Message)
 
 TILE_CELLS = 64
 """Cells along a side of a tile; the contract's, stands here so that a client need not load the kernels."""
+
+
+TILE_BYTES = TILE_CELLS * TILE_CELLS * 8 * len(LAYERS)
+"""All layers of a tile as float64: what claims to unpack to more, a few packed bytes can, is none."""
 
 
 def read_region(part: Part, layers: Sequence[str]) -> Region:
@@ -94,7 +100,7 @@ def _floats(values: Sequence[float | None]) -> "np.ndarray[tuple[int, ...], np.d
 
 
 def _tile(part: Part, layers: Sequence[str]) -> Tile:
-    info, grid = _grid(part, layers)
+    info, grid = _grid(part, layers, TILE_BYTES)
     if info.x is None or info.y is None:
         raise UnreadableAnswer(f"{part.key}: expected a tile with its numbers; found x {info.x}, y {info.y}")
     shape = next(iter(grid.layers.values())).shape
@@ -103,12 +109,12 @@ def _tile(part: Part, layers: Sequence[str]) -> Tile:
     return Tile(grid.layers, grid.origin, grid.cell_size, info)
 
 
-def _grid(part: Part, layers: Sequence[str]) -> tuple[TileInfo, Grid]:
+def _grid(part: Part, layers: Sequence[str], most: int = MAX_DATA) -> tuple[TileInfo, Grid]:
     """Attachment and grid; ``layers`` empty: whichever it has."""
     part.check_encoding(encodings.GRID)
     try:
         info = parse_model(TileInfo, part.attachment)
-        grid = decode_grid(part.payload, info.compression)
+        grid = decode_grid(part.payload, info.compression, max_data=most)
     except ContractError as error:
         raise UnreadableAnswer(f"{part.key}: {error}") from None
     if layers and tuple(grid.layers) != tuple(layers):

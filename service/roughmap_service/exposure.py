@@ -43,11 +43,13 @@ def exposures(config: zenoh.Config) -> list[str]:
 
     Each begins with the path of the Zenoh setting.
     """
-    found = [
-        f"listen.endpoints: {endpoint.partition('#')[0]} is open to the network without TLS"
-        for endpoint in endpoints_of(config, "listen")
-        if not is_private(endpoint) and not is_encrypted(endpoint)
-    ]
+    found = []
+    for endpoint in endpoints_of(config, "listen"):
+        shown = f"listen.endpoints: {endpoint.partition('#')[0]} is open to"
+        if not is_private(endpoint) and not is_encrypted(endpoint):
+            found.append(f"{shown} the network without TLS")
+        elif endpoint.startswith("ws/"):  # which browsers speak, and Zenoh asks no page where it is from
+            found.append(f"{shown} any page in a browser of this machine")
     mode = setting(config, "mode") or "peer"
     protocols = setting(config, "transport/link/protocols")
     if protocols and ENCRYPTED.issuperset(protocols):

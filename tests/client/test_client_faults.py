@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 import zenoh
+import zstandard
 from foreign import ONE, OTHER, Pair, foreign, grid, info, refuse, send_tile
+from foxglove_schemas_protobuf.Grid_pb2 import Grid as GridMessage
 from net import WAIT_S, open_pair
 from served import Served
 
@@ -149,6 +151,34 @@ def test_tiles_that_must_not_be_used(pair: Pair, client: RoughMapClient, fault: 
         client.tiles()
     assert isinstance(caught.value, RoughMapError)
     assert type(caught.value) is error
+
+
+def test_a_tile_that_unpacks_to_gigabytes(pair: Pair, client: RoughMapClient) -> None:
+    """A few packed bytes of zeros, laid out as rows of a tile with much between them."""
+    message = GridMessage.FromString(grid())
+    message.row_stride = 1 << 20
+    message.data = zstandard.compress(bytes(64 << 20))
+    payload = message.SerializeToString()
+    assert len(payload) < 1 << 16
+    bomb = foreign(pair, KEYS["tiles"], lambda q: send_tile(q, info(compression="zstd"), payload))
+    with bomb, pytest.raises(UnreadableAnswer, match="too_large"):
+        client.tiles()
+
+
+@pytest.mark.parametrize("call", ["region", "cells", "status", "ingest"])
+def test_more_answers_than_one_are_not_gathered(pair: Pair, client: RoughMapClient, call: str) -> None:
+    """Whoever goes on answering, with whatever, is not waited for, nor kept in memory."""
+    leave = threading.Event()
+
+    def answer(query: zenoh.Query) -> None:
+        for _ in range(2):
+            query.reply(str(query.key_expr), bytes(1000))
+        leave.wait(2 * WAIT_S)
+
+    with foreign(pair, KEYS[call], answer):
+        with pytest.raises(MixedInstances):
+            CALLS[call](client)
+        leave.set()
 
 
 def test_an_answer_that_breaks_off(pair: Pair) -> None:

@@ -60,6 +60,7 @@ def test_endpoints(endpoint: str, private: bool) -> None:
         (listening("tls/0.0.0.0:7447"), []),
         (listening("tcp/127.0.0.1:7447", "tcp/0.0.0.0:7447"), ["listen.endpoints"]),
         (listening("ws/10.0.0.1:80"), ["listen.endpoints"]),
+        (listening("ws/127.0.0.1:80"), ["listen.endpoints"]),
         (session(listen={"endpoints": {"peer": ["tcp/0.0.0.0:1"], "router": []}}), ["listen.endpoints"]),
         (session(mode="router", listen={"endpoints": {"peer": ["tcp/0.0.0.0:1"], "router": []}}), []),
         (session(), ["listen.endpoints"]),  # Zenoh's own default listens everywhere
@@ -105,6 +106,7 @@ def test_the_refusal_names_setting_and_mend(tmp_path: Path) -> None:
     assert "--insecure" in told
     assert "CANARY" not in told
     assert refusal(tmp_path, "[zenoh]\nscouting = true").startswith("zenoh.scouting: joins")
+    assert "any page in a browser" in refusal(tmp_path, '[zenoh]\nlisten = ["ws/127.0.0.1:7448"]')
 
 
 def test_a_zenoh_file_counts_too(tmp_path: Path) -> None:
