@@ -3,6 +3,7 @@
 import errno
 import json
 import random
+import re
 import signal
 import threading
 from collections.abc import Iterator
@@ -103,6 +104,7 @@ def test_an_end_that_the_disk_does_not_take_is_no_good_end(tmp_path: Path, shim:
             feed.put("points", "r1", spread(2, 10))
             assert service.stop() == 1
     assert any(line.startswith("roughmap: the end of the log is lost: ") for line in service.err), service.err[-5:]
+    assert any(re.search(r"its last [1-9]\d* records are lost", line) for line in service.err), service.err[-5:]
     code, verdict = replay(shim.root / "log")
     assert code == 0 or "no checkpoint" in verdict, verdict
 

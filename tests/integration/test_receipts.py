@@ -107,7 +107,7 @@ def test_duplicates_are_known_after_a_restart(tmp_path: Path, store: bool) -> No
         with connected(service) as feed:  # its greeting is the first message again, and now the newest of three
             again = [feed.ingest("points", "r1", placed(n)) for n in (3, 2)]
             assert [(r.input, r.duplicate, r.epoch) for r in again] == [(n, True, 2) for n in (numbers[3], numbers[2])]
-            fresh = feed.ingest("points", "r1", placed(0))
+            fresh = feed.ingest("points", "r1", placed(1))
             assert (fresh.duplicate, fresh.input) == (False, numbers[3] + 2)
         assert service.stop() == 0
         assert replay(service.log)[0] == 0

@@ -69,6 +69,18 @@ def test_from_the_store_and_what_the_log_has_behind_it(logs: Path, store: Store,
     assert not back.was_reset
 
 
+def test_from_the_store_where_the_log_is_gone(logs: Path, store: Store) -> None:
+    """The same run in a new epoch: what was told in the one before can't be compared."""
+    with Run(logs, store=store) as run:
+        drive(run)
+        run.snapshot()
+    for path in logs.iterdir():
+        path.unlink()
+    back = recover(config(), logs, store)
+    assert (digest(back), back.run, back.epoch) == (run.state.map.digest(), run.run, run.state.epoch + 1)
+    assert (back.state.input, back.state.record) == (run.state.input, run.state.record)
+
+
 def test_every_event_is_applied_once_whichever_files_are_left(logs: Path, store: Store) -> None:
     """Files that lie before the cut and its undecided clouds may be gone; with one more gone it can't go on."""
     with Run(logs, store=store) as run:
