@@ -157,8 +157,9 @@ class InputConfig(Section):
     is whole, and nobody is told: a publisher's numbering shows the gap."""
     queue_limit: Size = 64 << 20
     duplicates: NotNegativeWhole = 10_000
-    """Messages remembered, so that the same bytes sent again enter the map once; a reset does not forget them, and
-    what was sent before it does not enter the emptied map by being sent again."""
+    """Messages remembered, so that the same bytes sent again enter the map once; of the robot that has most of them the
+    oldest is forgotten first. A reset does not forget them, and what was sent before it does not enter the emptied map
+    by being sent again."""
     robots: Annotated[list[Name], Once] = []
     """Who may send; empty: any."""
     max_robots: AtLeastOne = 256

@@ -8,11 +8,26 @@ from processes import LEVEL, T0, Service, connected, read_log, running
 from roughmap_client.asking import ask
 from roughmap_schemas import QueryError, encode_odometry
 from roughmap_service.counters import Counters
+from roughmap_service.ingest import Duplicates
 from roughmap_service.intake import InputMessage, Intake
 from roughmap_service.log_file import Kind
 
 S = 10**9
 MIB = 1 << 20
+
+
+def test_a_robot_that_floods_has_no_others_messages_forgotten() -> None:
+    """What another robot handed in, and hands in again since it heard nothing, would enter the map twice."""
+    known = Duplicates(10)
+    known.add(("slow", "points", "a"), 1)
+    for number in range(2, 100):
+        known.add(("flood", "odometry", f"{number}"), number)
+    assert known.find(("slow", "points", "a")) == 1
+    assert [known.find(("flood", "odometry", f"{number}")) for number in (90, 91, 99)] == [None, 91, 99]
+    assert [number for *_, number in known.to_state()] == [1, *range(91, 100)]
+    again = Duplicates(10)
+    again.load_state(known.to_state())
+    assert again.to_state() == known.to_state()
 
 
 def test_poses_that_wait_to_be_taken_up() -> None:
