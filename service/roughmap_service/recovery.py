@@ -321,7 +321,8 @@ def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: 
     """Take the files up into the state; the last record that they hold."""
     state = result.state
     waiting: dict[int, tuple[str, int]] = {}
-    done = end = 0
+    done = 0
+    end = files[0].metadata.first_record - 1  # it may be that none stands in the files
     own = warned = False
 
     def items() -> Iterator[LogItem]:

@@ -101,6 +101,19 @@ def test_every_event_is_applied_once_whichever_files_are_left(logs: Path, store:
         recover(config(), logs, store)
 
 
+def test_a_file_in_which_nothing_stands_yet_goes_on_from_the_store(logs: Path, store: Store) -> None:
+    """All files before it were deleted, as `log.keep` may: it tells itself what lies before it."""
+    with Run(logs, store=store) as run:
+        drive(run)
+        run.rotate()
+        run.snapshot()
+    before, _ = sorted(logs.glob("*.mcap"))
+    before.unlink()
+    back = recover(config(), logs, store)
+    assert (digest(back), back.run, back.index, back.epoch) == (run.state.map.digest(), run.run, 2, 2)
+    assert (back.state.input, back.state.record) == (run.state.input, run.state.record)
+
+
 @pytest.mark.parametrize("stored", [False, True])
 def test_undecided_clouds_wait_anew(logs: Path, store: Store, stored: bool) -> None:
     with Run(logs, store=store) as run:
