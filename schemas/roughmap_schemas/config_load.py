@@ -105,20 +105,18 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _leaves(values: Mapping[str, Any]) -> Iterator[str]:
-    """Give the dotted keys: two deep, deeper under sensors and robots; what lies below is a value as a whole."""
+    """Give the dotted keys: three deep, deeper under robots; what lies below is a value as a whole."""
     for section, table in values.items():
-        if not isinstance(table, dict):
-            yield section
-        elif section in FILES_ONLY:
-            yield from _deep(section, table, 1 if section == "sensors" else 3)
+        if isinstance(table, dict):
+            yield from _deep(section, table, 3 if section == "robots" else 1)
         else:
-            yield from (f"{section}.{key}" for key in table)
+            yield section
 
 
 def _deep(prefix: str, table: Mapping[str, Any], depth: int) -> Iterator[str]:
     for key, value in table.items():
         dotted = f"{prefix}.{key}"
-        if depth and isinstance(value, dict):
+        if depth and isinstance(value, dict) and value:
             yield from _deep(dotted, value, depth - 1)
         else:
             yield dotted
@@ -146,7 +144,9 @@ def _put(values: dict[str, Any], given: dict[str, str], parts: tuple[str, ...], 
         present = table.get(parts[1], Config().map.limits)
         value = {**(present if isinstance(present, dict) else {}), parts[2]: value}
     table[parts[1]] = value
-    given[".".join(parts[:2])] = source
+    given[".".join(parts[:2])] = given[dotted] = source
+    if len(parts) == 2 and isinstance(value, dict):
+        given.update(dict.fromkeys(_deep(dotted, value, 0), source))
 
 
 def _sections() -> list[str]:

@@ -126,6 +126,26 @@ def test_one_limit_alone_over_those_below(file: Path) -> None:
     assert load_config(file, {"map.limits": {"range": 1}}).config.map.limits == {"range": 1.0}
 
 
+def test_whence_each_limit_came(file: Path) -> None:
+    def sources(loaded: LoadedConfig) -> dict[str, str]:
+        return {key: source for key, source in loaded.sources.items() if key.startswith("map.limits")}
+
+    one = {"ROUGHMAP_MAP__LIMITS__STEP": "0.3"}
+    assert sources(load_config(file, environ=one)) == {
+        "map.limits.slope": f"file {file}",
+        "map.limits.step": "environment ROUGHMAP_MAP__LIMITS__STEP",
+    }
+    assert sources(load_config(None, {"map.limits.slope": 0.1}, one)) == {
+        "map.limits.slope": "command line",
+        "map.limits.step": "environment ROUGHMAP_MAP__LIMITS__STEP",
+        "map.limits.std_dev": "default",
+        "map.limits.confidence": "default",
+    }
+    whole = load_config(file, environ={"ROUGHMAP_MAP__LIMITS": '{"slope": 0.2}'})
+    assert sources(whole) == {"map.limits.slope": "environment ROUGHMAP_MAP__LIMITS"}
+    assert sources(load_config(file, {"map.limits": {}})) == {"map.limits": "command line"}
+
+
 @pytest.mark.parametrize(
     ("name", "words"),
     [
