@@ -198,6 +198,8 @@ class Sequencer:
                 busy = self._turn(0.0 if busy else self._wait_seconds())
             while self._turn(0.0):
                 pass
+            if not self._checkpoint_sequence:
+                self._checkpoint_sequence = -1  # the log of a map that stayed empty can be compared too
             self.checkpoint()
         except BaseException as error:
             self.failure = error

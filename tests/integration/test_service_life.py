@@ -57,6 +57,9 @@ def test_the_token_is_there_while_the_service_is(tmp_path: Path) -> None:
             assert service.stop() == 0
             seen.wait(lambda items: (key, zenoh.SampleKind.DELETE) in items, "the token's end")
         assert service.out == [json.dumps(ready)], "nothing follows the ready line on stdout"
+        code, verdict = replay(service.log)
+        assert code == 0, "a map that stayed empty can be replayed too"
+        assert verdict.startswith("equal: 1 checkpoints, sequence 0, digest ")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
