@@ -51,9 +51,7 @@ def go_on(directory: Path) -> None:
 def journal_of(shim: Shim, *steps: Callable[[Path], None]) -> list[Call]:
     """What processes that run the steps one after the other do to the disk."""
     for step in steps:
-        code = (
-            f"import {Path(__file__).stem} as t, pathlib; t.{step.__name__}(pathlib.Path({str(shim.root / 'log')!r}))"
-        )
+        code = f"import {step.__module__} as t, pathlib; t.{step.__name__}(pathlib.Path({str(shim.root / 'log')!r}))"
         child = subprocess.run(
             [sys.executable, "-c", code], env={**os.environ, **shim.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
             check=False, capture_output=True, text=True, timeout=60.0,

@@ -1,0 +1,105 @@
+"""A power cut at every call of a start that repairs a log, and behind a snapshot and a store put aside, which leaves
+nothing that was not synced: what chance finds by and by in `make faults`, found each time."""
+
+import os
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import paths  # noqa: F401 - before what it makes importable
+from cut_states import Disk
+from service_tools import WAIT_S, Run, config, inputs_of, read_back
+from shim import Shim
+from test_closed_unsynced import DIES, journal_of
+
+from roughmap_service.disk import make_directory
+from roughmap_service.recovery import recover
+from roughmap_service.store import Store
+
+
+class Worst(random.Random):
+    """Of what a cut may leave, the least."""
+
+    def choice(self, seq: Any) -> Any:
+        return seq[0]
+
+
+def store_of(log: Path) -> Store:
+    return Store(log.parent / "store" / "map.db")
+
+
+def killed(log: Path) -> None:
+    """A run that ends by a kill, all of it on the disk."""
+    make_directory(log)
+    run = Run(log)
+    for k in range(3):
+        run.scan(float(k), 0.3 * k)
+    assert run.writer.wait_synced(WAIT_S)
+    os._exit(DIES)
+
+
+def started(log: Path) -> None:
+    """A start after that, which gives its file a footer."""
+    recover(config(), log, None)
+    os._exit(DIES)
+
+
+def stored(log: Path) -> None:
+    """A run with a snapshot."""
+    make_directory(log)
+    run = Run(log, store=store_of(log))
+    run.scan(0.0)
+    run.snapshot()
+    os._exit(DIES)
+
+
+def put_aside(log: Path) -> None:
+    """What `--fresh` does to the store."""
+    store_of(log).set_aside()
+    os._exit(DIES)
+
+
+def left_of(shim: Shim, where: Path, *steps: Callable[[Path], None]) -> Path:
+    """What the worst cut behind the last step leaves."""
+    disk = Disk(shim.root)
+    for call in journal_of(shim, *steps):
+        disk.take(call)
+    disk.top.write(where, Worst())
+    return where
+
+
+def test_a_repair_never_takes_away_what_was_on_the_disk(tmp_path: Path) -> None:
+    shim = Shim(tmp_path / "shim", journal=True)
+    before = len(journal_of(shim, killed))
+    whole = [one.payload for one in inputs_of(read_back(shim.root / "log"))]
+    calls = journal_of(shim, started)
+    assert (len(whole), len(calls) > before) == (9, True)
+    disk = Disk(shim.root)
+    for number, call in enumerate(calls, 1):
+        disk.take(call)
+        if number >= before:
+            left = tmp_path / f"left{number}"
+            disk.top.write(left, Worst())
+            recover(config(), left / "log", None)
+            assert [one.payload for one in inputs_of(read_back(left / "log"))] == whole, f"cut behind call {number}"
+
+
+def test_a_snapshot_that_is_told_of_is_on_the_disk(tmp_path: Path) -> None:
+    shim = Shim(tmp_path / "shim", journal=True)
+    left = left_of(shim, tmp_path / "left", stored)
+    there = store_of(shim.root / "log").read_cut()
+    assert there is not None
+    assert store_of(left / "log").read_cut() == there
+    assert [tile.digest for tile in store_of(left / "log").read_tiles()] == [
+        tile.digest for tile in store_of(shim.root / "log").read_tiles()
+    ]
+
+
+def test_a_store_that_was_put_aside_stays_there(tmp_path: Path) -> None:
+    """Else it would come back beside the log of the new run, and no start would go on from the two."""
+    shim = Shim(tmp_path / "shim", journal=True)
+    left = left_of(shim, tmp_path / "left", stored, put_aside)
+    (aside,) = (shim.root / "store").glob("map.db.*")
+    assert not store_of(left / "log").exists()
+    assert Store(left / "store" / aside.name).read_cut() == Store(aside).read_cut() is not None
