@@ -6,10 +6,14 @@ import threading
 from pathlib import Path
 
 import pytest
+from net import locators
 from operate_pages import pages
+from served import Served
 
+from roughmap_schemas.messages import LogState
 from roughmap_service.cli.main import run
 from roughmap_service.readiness import Problem, Readiness, Sources, health_of, running_problems
+from roughmap_service.status import Progress
 
 TOKEN = "the token of this page"
 
@@ -62,6 +66,27 @@ def test_another_program_on_the_port_is_no_service(answer: bytes, capsys: pytest
         assert health(f"127.0.0.1:{other.getsockname()[1]}", "--json") == 1
         thread.join()
     assert "roughmap service" in json.loads(capsys.readouterr().out)["problems"]["not_there"]
+
+
+@pytest.mark.parametrize(
+    ("problem", "code", "told"),
+    [
+        (None, 0, "ok"),
+        (Problem.OVERLOADED, 0, "overloaded"),
+        (Problem.SNAPSHOT_FAILED, 1, "degraded: its log lines and"),
+        (Problem.LOG_NOT_WRITABLE, 1, "log_not_writable: the log can't be written"),
+    ],
+)
+def test_over_zenoh_every_degraded_is_a_failure(
+    problem: Problem | None, code: int, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The status has one word, and no cause."""
+    with Served() as served:
+        problems = [problem] if problem else []
+        served.progress = Progress(problems=problems, log=LogState(ok=problem is not Problem.LOG_NOT_WRITABLE))
+        listen = f'zenoh.listen=["{locators(served.server)[0]}"]'
+        assert health('""', "--set", listen) == code
+    assert capsys.readouterr().out.startswith(f"site: {told}")
 
 
 def test_what_a_running_service_can_suffer_from() -> None:
