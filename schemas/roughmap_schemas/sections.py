@@ -249,6 +249,8 @@ class QueryConfig(Section):
     max_reply_tiles: AtLeastOne = 1024
     max_region_cells: AtLeastOne = 4_000_000
     max_running_cells: AtLeastOne = 16_000_000
+    """Cells of all queries that are answered at the same time, 64 bytes each; those of a region with more than five
+    layers (f4) count several times."""
     queue_limit: AtLeastOne = 64
     cache_limit: Size = 64 << 20
     """Bytes of encoded tiles that are kept for whoever asks the same again."""

@@ -87,6 +87,10 @@ class Plan:
     answer: Callable[[Send], Outcome]
 
 
+CELL_BYTES = 64
+"""What a running cell may take of memory; as much as its record does."""
+
+
 class Reader:
     """Makes plans over one map."""
 
@@ -99,6 +103,7 @@ class Reader:
         self.tolerance = config.map.height_tolerance
         self.limits = dict(config.map.limits)
         self.max_reply_tiles = config.query.max_reply_tiles
+        self.max_running_cells = config.query.max_running_cells
         self.max_region_cells = min(config.query.max_region_cells, MAX_CELLS)
         self._emptied = emptied
         # Who asks for tiles asks the same over and over, and to read what it is takes as long as to answer it.
@@ -245,7 +250,20 @@ class Reader:
         cells = self._cells(asked.bbox, math.ldexp(self.cell_size, asked.level))
         count = (cells[2] - cells[0]) * (cells[3] - cells[1])
         boxes = [(asked.level, tile_box(cells))]
+        count = self._weight(count, asked)
         return Plan(count, lambda send: self._answer(boxes, lambda cut: self._region_reply(asked, cells, cut), send))
+
+    def _weight(self, count: int, asked: RegionQuery) -> int:
+        """For how many running cells a region's count: its layers are in memory three times, drawn, as a message, and
+        on its way out. ``too_large`` for what many layers make more than may run at all."""
+        each = -(-3 * len(asked.layers) * np.dtype(asked.dtype).itemsize // CELL_BYTES)
+        if each > 1 and count * each > self.max_running_cells:
+            raise QueryFault(
+                QueryCode.TOO_LARGE,
+                f"{count} cells of {len(asked.layers)} layers as {asked.dtype} count for {count * each}; expected at "
+                f"most {self.max_running_cells} (query.max_running_cells): ask for fewer layers, f4, or a smaller bbox",
+            )
+        return count * each
 
     def _cells(self, bbox: Bbox, cell_size: float) -> CellBox:
         """The cells of a box; ``too_large`` or ``bad_bbox``."""

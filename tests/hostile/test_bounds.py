@@ -7,6 +7,7 @@ from processes import LEVEL, T0, Service, connected, read_log, running
 
 from roughmap_client.asking import ask
 from roughmap_schemas import QueryError, encode_odometry
+from roughmap_schemas.layers import LAYERS
 from roughmap_service.counters import Counters
 from roughmap_service.ingest import Duplicates
 from roughmap_service.intake import InputMessage, Intake
@@ -63,6 +64,19 @@ def test_a_message_too_large_to_be_put_together(tmp_path: Path) -> None:
         feed.session.get("maps/site/cells", payload=bytes(128 * MIB), timeout=0.1)
         assert feed.settle().refused == {"too_large": 1}
         assert peak(service) - before < 64 * MIB
+
+
+def test_layers_make_a_region_large(tmp_path: Path) -> None:
+    """A few questions for all layers of a large region took gigabytes, though the map was empty."""
+    with Service(tmp_path, query={"max_running_cells": 100_000}) as service, connected(service) as feed:
+        for layers, found in ((LAYERS[:5], None), (LAYERS, "too_large")):
+            region = f"maps/site/region?bbox=0,0,19,19;layers={','.join(layers)}"  # 36,100 cells or some more
+            (reply,) = feed.session.get(region, timeout=WAIT_S)
+            assert (reply.err is not None) == (found is not None)
+            if reply.err is not None:
+                error = QueryError.model_validate_json(reply.err.payload.to_bytes())
+                assert (error.code, "query.max_running_cells" in error.message) == (found, True)
+        assert service.stop() == 0
 
 
 def test_a_selector_of_megabytes_does_not_fill_the_log(tmp_path: Path) -> None:
