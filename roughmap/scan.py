@@ -165,8 +165,8 @@ class Limits:
 
     @property
     def max_gap_ns(self) -> float:
-        """``max_pose_gap`` in nanoseconds."""
-        return float(self.max_pose_gap) * 1e9
+        """``max_pose_gap`` in whole nanoseconds: 2.01 * 1e9 is a little less than poses 2.01 s apart are."""
+        return float(np.rint(float(self.max_pose_gap) * 1e9))
 
 
 def point_rules(scan: Scan, noise: Noise, limits: Limits) -> tuple[Any, ...]:

@@ -40,7 +40,7 @@ class Settings:
         self.frame_id = config.map.frame_id
         self.max_wait = inputs.max_wait
         self.max_pose_gap = inputs.max_pose_gap
-        self.max_pose_gap_ns = inputs.max_pose_gap * NS
+        self.max_pose_gap_ns = Limits(max_pose_gap=inputs.max_pose_gap).max_gap_ns
         self.history_ns = round(min(inputs.pose_history, LONGEST_HISTORY) * NS)
         self.max_speed = inputs.max_speed
         self.max_turn = inputs.max_turn

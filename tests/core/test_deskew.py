@@ -109,6 +109,17 @@ def test_no_extrapolation_and_no_wide_gaps() -> None:
     assert georeference(early, way, Noise(0.01))[2].tolist() == [missing]
 
 
+@pytest.mark.parametrize("ms", [500, 1001, 2010, 8030])
+def test_poses_exactly_the_gap_apart(ms: int) -> None:
+    """1.001, 2.01 and 8.03, times 1e9 in float64, fall short of a whole number of nanoseconds."""
+    stamps = START_NS + np.array([0, ms * 1_000_000])
+    way = Trajectory(stamps, np.zeros((2, 3)), np.tile((0, 0, 0, 1), (2, 1)), np.zeros((2, 6, 6)))
+    between, limits = ahead(np.array([ms])), Limits(max_pose_gap=ms / 1000)
+    assert georeference(between, way, Noise(0.01), limits)[2].tolist() == [0]
+    way = Trajectory(stamps + np.array([0, 1]), np.zeros((2, 3)), way.rotation, way.covariance)
+    assert georeference(between, way, Noise(0.01), limits)[2].tolist() == [int(PointReason.NO_POSE)]
+
+
 def test_deskewing_makes_a_turning_wall_flat() -> None:
     """A wall 5 m ahead, seen by a scanner that turns by 1 rad within the sweep: all points fall into one column."""
     way = two_poses(yaw(0), yaw(1.0))

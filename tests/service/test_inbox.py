@@ -269,3 +269,8 @@ def test_robots_take_turns() -> None:
         desk.pose(0.5, robot=robot)
     order = [number for number, _ in desk.all()]
     assert order == [flood[0], quiet[0], flood[1], quiet[1], flood[2], flood[3]]
+
+
+def test_poses_exactly_the_gap_apart_are_near_enough() -> None:
+    """2.01 times 1e9 falls short of 2,010,000,000 in float64."""
+    assert Settings(config(input={"max_pose_gap": 2.01})).max_pose_gap_ns == 2_010_000_000
