@@ -15,7 +15,7 @@ from roughmap_schemas.faults import Fault, QueryFault
 from roughmap_schemas.keys import Keys
 from roughmap_schemas.messages import ControlAnswer, MapStatus, QueryError, QueryRecord, model_bytes
 from roughmap_schemas.reasons import QueryCode
-from roughmap_schemas.selectors import parse_parameters
+from roughmap_schemas.selectors import MAX_PLACES_TEXT, parse_parameters
 from roughmap_service.answer_queue import AnswerQueue
 from roughmap_service.cell_answers import plan_cells
 from roughmap_service.emptied import Emptied
@@ -188,6 +188,7 @@ class Answers:
         def handle(query: zenoh.Query) -> None:
             question = Question(query)
             try:
+                _check_size(query)
                 planned = plan(question)
                 queue.submit(planned.cells, lambda: run(question, planned), lambda fault: refuse(question, fault))
             except Exception as error:  # noqa: BLE001 - the edge, as above
@@ -222,6 +223,15 @@ class Answers:
             return Plan(0, answer)
 
         return plan
+
+
+def _check_size(query: zenoh.Query) -> None:
+    """What comes with a question is in memory until it is answered, whether anybody wants it or not."""
+    for what, sent in (("payload", query.payload), ("attachment", query.attachment)):
+        if sent is not None and len(sent) > MAX_PLACES_TEXT:
+            raise QueryFault(
+                QueryCode.TOO_LARGE, f"{what}: expected at most {MAX_PLACES_TEXT} bytes; found {len(sent)}"
+            )
 
 
 def _no_parameters(text: str) -> None:

@@ -10,7 +10,7 @@ from roughmap_schemas.encodings import json_encoding
 from roughmap_schemas.faults import QueryFault
 from roughmap_schemas.messages import CellAnswer, CellEntry, CellState, model_bytes
 from roughmap_schemas.reasons import QueryCode
-from roughmap_schemas.selectors import MAX_PLACES_TEXT, CellsQuery
+from roughmap_schemas.selectors import CellsQuery
 from roughmap_service.reading import INT32, TILE_AREA, Outcome, Plan, Reader, Send
 
 Cells = npt.NDArray[np.int64]
@@ -20,10 +20,6 @@ ENCODING = json_encoding("CellAnswer")
 
 def plan_cells(reader: Reader, parameters: str, payload: zenoh.ZBytes | None) -> Plan:
     """A query of ``maps/{map}/cells``; raises QueryFault."""
-    if payload is not None and len(payload) > MAX_PLACES_TEXT:
-        raise QueryFault(
-            QueryCode.TOO_LARGE, f"payload: expected at most {MAX_PLACES_TEXT} bytes; found {len(payload)}"
-        )
     asked = CellsQuery.parse(parameters, b"" if payload is None else payload.to_bytes())
     cells = _cells(asked, reader.cell_size)
     tiles = np.unique(cells >> TILE_SHIFT, axis=0)

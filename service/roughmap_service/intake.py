@@ -30,6 +30,9 @@ MAX_NUMBERED = 10_000
 MAX_TOLD = 500
 """Characters of a log line about a message: what it holds comes from outside."""
 
+MAX_ATTACHMENT = 1 << 16
+"""Bytes with a request, which are in memory until it is answered, and count nowhere."""
+
 MAX_GAP = 1 << 32
 """A number that leaps further tells of no loss, but of another count."""
 
@@ -261,6 +264,9 @@ class ZenohInputs:
             if payload is None:
                 raise MessageFault(Refusal.BAD_MESSAGE, "expected the message as the request's payload, found none")
             self._check(kind, str(query.encoding or ""), payload)
+            if query.attachment is not None and len(query.attachment) > MAX_ATTACHMENT:
+                found = f"an attachment of {len(query.attachment)} bytes"
+                raise MessageFault(Refusal.TOO_LARGE, f"expected at most {MAX_ATTACHMENT} bytes of it; found {found}")
         except MessageFault as fault:
             refuse(self._counters, robot, fault)
             reply.refuse(fault)

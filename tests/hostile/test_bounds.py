@@ -66,6 +66,26 @@ def test_a_message_too_large_to_be_put_together(tmp_path: Path) -> None:
         assert peak(service) - before < 64 * MIB
 
 
+def test_what_nobody_asked_for_is_not_kept_with_a_request(tmp_path: Path) -> None:
+    """It would lie in memory until the answer, beside whatever else waits."""
+    with Service(tmp_path) as service, connected(service) as feed:
+        for key, sent in (
+            ("maps/site/region?bbox=0,0,1,1", {"payload": bytes(2 * MIB)}),
+            ("maps/site/tiles/0/*/*", {"attachment": bytes(2 * MIB)}),
+            ("maps/site/cells?x=1;y=1", {"payload": bytes(2 * MIB)}),
+            ("maps/site/status", {"attachment": bytes(2 * MIB)}),
+            ("maps/site/control/reset", {"attachment": bytes(2 * MIB)}),
+            ("maps/site/ingest/rover/odometry", {"payload": b"pose", "attachment": bytes(2 * MIB)}),
+        ):
+            (reply,) = feed.session.get(key, timeout=WAIT_S, **sent)
+            assert reply.err is not None, key
+            error = QueryError.model_validate_json(reply.err.payload.to_bytes())
+            assert error.code == "too_large", key
+            assert next(iter(sent.keys() & {"attachment"}), "payload") in error.message
+        assert feed.settle().epoch == 1, "nothing was reset"
+        assert service.stop() == 0
+
+
 def test_layers_make_a_region_large(tmp_path: Path) -> None:
     """A few questions for all layers of a large region took gigabytes, though the map was empty."""
     with Service(tmp_path, query={"max_running_cells": 100_000}) as service, connected(service) as feed:
