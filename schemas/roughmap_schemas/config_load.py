@@ -79,7 +79,7 @@ def load_config(
     for dotted in sources:
         # What a robot's sensor doesn't set itself comes from the general table of that frame.
         if dotted.startswith("robots.") and dotted not in given:
-            sources[dotted] = given.get(dotted.split(".", 2)[-1], DEFAULT)
+            sources[dotted] = given.get(f"sensors.{dotted.partition('.sensors.')[2]}", DEFAULT)
     return LoadedConfig(config, sources, file)
 
 

@@ -87,6 +87,14 @@ def test_robots_and_sensors_of_a_file(file: Path) -> None:
     assert loaded.sources["robots.Rover.sensors.lidar.beam_sigma"] == "default"
 
 
+def test_whence_a_sensor_of_a_robot_came_whose_name_has_dots(tmp_path: Path) -> None:
+    path = tmp_path / "dots.toml"
+    path.write_text('sensors."os.top".range_sigma = 0.1\n[robots."a.b".sensors."os.top"]\nbeam_sigma = 0.2')
+    sources, prefix = load_config(path).sources, "robots.a.b.sensors.os.top"
+    assert (sources[f"{prefix}.range_sigma"], sources[f"{prefix}.beam_sigma"]) == (f"file {path}", f"file {path}")
+    assert sources[f"{prefix}.max_range"] == "default"
+
+
 @pytest.mark.parametrize("section", ["sensors", "robots"])
 def test_robots_and_sensors_are_set_in_files_only(section: str) -> None:
     name = f"ROUGHMAP_{section.upper()}__LIDAR__RANGE_SIGMA"
