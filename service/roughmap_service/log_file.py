@@ -23,7 +23,7 @@ from pydantic import TypeAdapter
 from roughmap_schemas import EVENT, Event, QueryRecord, RunMetadata, UpdateRecord, encode_event
 from roughmap_schemas.run_metadata import RECORD_NAME
 
-from .disk import sync_directory
+from .disk import sync, sync_directory
 from .log_schema import plain_schema
 
 CHUNK_BYTES = 64 * 1024
@@ -198,11 +198,13 @@ class LogFile:
     def abandon(self, length: int) -> None:
         """Cut the file to ``length``, which was synced, and leave it without a footer. OSError if even that fails.
 
-        One that has its footer on the disk stays as it is.
+        One that has its footer on the disk stays as it is. The cut is on the disk after this: what was behind it comes
+        again in the next file.
         """
         self.let_go()
         if not self._closed:
             os.truncate(self.path, length)
+            sync(self.path)
 
     def _channel(self, kind: Kind, topic: str) -> int:
         if (kind, topic) not in self._channels:

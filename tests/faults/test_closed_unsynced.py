@@ -1,5 +1,6 @@
 """Killed as a file's footer was written and not yet on the disk, started again, and then the power is cut."""
 
+import errno
 import os
 import random
 import subprocess
@@ -48,6 +49,26 @@ def go_on(directory: Path) -> None:
     os._exit(DIES)
 
 
+def leave_a_file_behind(directory: Path) -> None:
+    """A run whose disk takes a file's records and then fails to keep them: it goes on in another, and is killed."""
+    make_directory(directory)
+    run = Run(directory)
+    run.scan(0.0)
+    assert run.writer.wait_synced(WAIT_S)
+    real, faults = os.fsync, iter([OSError(errno.EIO, "Input/output error")])
+
+    def fsync(handle: int) -> None:
+        for fault in faults:
+            raise fault
+        real(handle)
+
+    os.fsync = fsync
+    run.scan(1.0)
+    assert run.writer.wait_synced(WAIT_S)
+    assert run.writer.index == 1
+    os._exit(DIES)
+
+
 def journal_of(shim: Shim, *steps: Callable[[Path], None]) -> list[Call]:
     """What processes that run the steps one after the other do to the disk."""
     for step in steps:
@@ -60,13 +81,19 @@ def journal_of(shim: Shim, *steps: Callable[[Path], None]) -> list[Call]:
     return list(read_journal(shim.journal))
 
 
-@pytest.mark.parametrize("steps", [[run_until_the_footer], [run_until_the_footer, go_on]], ids=["cut", "start, cut"])
-def test_what_is_gone_on_from_is_on_the_disk(tmp_path: Path, steps: list[Callable[[Path], None]]) -> None:
+@pytest.mark.parametrize(
+    ("steps", "logged"),
+    [([run_until_the_footer], 60), ([run_until_the_footer, go_on], 63), ([leave_a_file_behind], 6)],
+    ids=["cut", "start, cut", "left behind, cut"],
+)
+def test_what_is_gone_on_from_is_on_the_disk(
+    tmp_path: Path, steps: list[Callable[[Path], None]], logged: int
+) -> None:
     """And whatever of a footer the cut left, every reader finds its way in the file after the start."""
     shim = Shim(tmp_path / "shim", journal=True)
     calls = journal_of(shim, *steps)
     whole = [one.payload for one in inputs_of(read_back(shim.root / "log"))]
-    assert len(whole) == 57 + 3 * len(steps)
+    assert len(whole) == logged
     disk = Disk(shim.root)
     for call in calls:
         disk.take(call)
