@@ -193,8 +193,10 @@ def read_metadata(path: Path) -> RunMetadata:
 
 
 def last_log_time(path: Path) -> int:
-    """The largest log time of a closed file's messages in ns, as its footer says; 0 if it has none."""
+    """The largest log time of a closed file's messages in ns, as its footer says; 0 if it has none, or a damaged one."""
     try:
+        if not has_summary(path):
+            return 0
         with path.open("rb") as stream:
             summary = make_reader(stream).get_summary()
     except (*_DAMAGE, MemoryError, OverflowError, OSError):  # of places and lengths in the footer that can't be

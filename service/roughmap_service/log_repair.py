@@ -25,6 +25,9 @@ from .log_reader import (
 
 log = logging.getLogger(__name__)
 
+LOST_EPOCHS = 1000
+"""Epochs that may have been told of in what lies behind a damage and can't be read: more than anybody resets."""
+
 
 def repair(path: Path, *, damaged: bool = False) -> Path | None:
     """Rewrite a torn file up to its last whole record, with a footer; the torn rest is kept as ``FILE.torn``.
@@ -74,20 +77,40 @@ def end_at_damage(damage: DamagedLog) -> None:
     missing, and it goes on there. DamagedLog again if nothing of the run would be left.
     """
     path = damage.path
-    files = sorted(path.parent.glob(path.name.rpartition("-")[0] + "-*.mcap"))  # names sort as files were written
+    prefix = path.name.rpartition("-")[0]
+    files = sorted(path.parent.glob(f"{prefix}-*.mcap"))  # names sort as files were written
     behind = files[files.index(path) + 1 :]
     try:
         read_metadata(path)
     except LogError:
         if path == files[0]:
             raise
+        _note_lost(files, prefix)
         put_behind(behind)
         path.rename(_beside(path, "torn"))
         sync_directory(path.parent)
         return
+    _note_lost(files, prefix)
     if not (behind and _lacks_nothing(path, behind[0])):
         put_behind(behind)
     repair(path, damaged=True)
+
+
+def _note_lost(files: list[Path], prefix: str) -> None:
+    """Note, as a file's name, an epoch that is larger than all that were told of in a run's files. It stays, since the
+    start that ends the run here may itself end before it has begun a file of its own."""
+    epoch = LOST_EPOCHS
+    for file in files:
+        with contextlib.suppress(LogError):
+            epoch = max(epoch, read_metadata(file).epoch + LOST_EPOCHS)
+    files[0].with_name(f"{prefix}.epoch-{epoch}").touch()
+    sync_directory(files[0].parent)
+
+
+def least_epoch(directory: Path, run: str | None) -> int:
+    """The least epoch with which a run may go on, of which a part was lost; 0 if none was."""
+    noted = (path.name.rpartition("-")[2] for path in directory.glob(f"roughmap-{run}.epoch-*"))
+    return max((int(epoch) for epoch in noted if epoch.isdecimal()), default=0)
 
 
 def put_behind(files: list[Path]) -> None:

@@ -31,17 +31,13 @@ from .log_reader import (
     read_metadata,
     read_run,
 )
-from .log_repair import end_at_damage, put_behind, repair
+from .log_repair import end_at_damage, least_epoch, put_behind, repair
 from .memory import Memory
 from .settings import Settings, new_map
 from .store import Cut, DamagedStore, OtherStateVersion, Store, StoreError
 from .stored_tiles import StoredTiles, set_index
 
 log = logging.getLogger(__name__)
-
-
-LOST_EPOCHS = 1000
-"""Epochs that may have been told of in what lies behind a damage and can't be read: more than anybody resets."""
 
 
 class Stopped(Exception):
@@ -95,7 +91,7 @@ def recover(
         try:
             watch = _Watch(progress, stop or threading.Event(), memory, damaged=bool(ended))
             back = _recover(config, directory, store, watch)
-            back.epoch += LOST_EPOCHS if ended else 0
+            back.epoch = max(back.epoch, least_epoch(directory, back.run))
             return back
         except DamagedLog as damage:
             if damage.path in ended:

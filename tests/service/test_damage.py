@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from service_tools import Run, config, inputs_of, read_back
 
 from roughmap_service.log_reader import MAGIC, DamagedLog, LogError, raw_records, read_file
@@ -193,7 +194,7 @@ def test_a_damage_behind_all_that_a_file_holds_of_the_run(logs: Path, damaged: i
     back = recover(config(), logs, None)
     assert back.state.map.digest() == digests[-1]
     assert read_back(logs) == whole
-    assert {file.name for file in logs.iterdir() if file.suffix != ".mcap"} == {f"{path.name}.torn"}
+    assert {file.name for file in logs.glob("*.mcap?*")} == {f"{path.name}.torn"}
     goes_on(logs, back)
 
 
@@ -275,3 +276,39 @@ def record_starts(data: bytes) -> Iterator[tuple[int, int]]:
     while data[at] != Opcode.DATA_END:
         yield at, data[at]
         at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+
+
+def test_epochs_of_what_is_lost_do_not_come_again_though_the_start_after_it_ended_early(logs: Path) -> None:
+    """By a kill or a stop, before it had begun a file of its own."""
+    three_files(logs)
+    for _ in range(3):
+        with Run(logs, recovered=recover(config(), logs, None)) as run:
+            epoch = run.state.epoch
+    first = sorted(logs.iterdir())[0]
+    flip(first, first.read_bytes().index(b"robots/rover/points") / first.stat().st_size)
+    assert recover(config(), logs, None).epoch > epoch
+    back = recover(config(), logs, None)
+    assert back.epoch > epoch
+    goes_on(logs, back)
+    assert recover(config(), logs, None).epoch == back.epoch + 1
+
+
+def test_a_damaged_footer_does_not_move_the_times_of_the_log(logs: Path) -> None:
+    three_files(logs)
+    last_ns = recover(config(), logs, None).last_ns
+    for path in sorted(logs.iterdir())[:2]:
+        data, times = path.read_bytes(), times_of(path)
+        # Behind the data end record, opcode 15 of four bytes, they stand in the statistics first.
+        at = data.index(times, data.rindex(b"\x0f" + (4).to_bytes(8, "little"))) + len(times) - 1
+        path.write_bytes(data[:at] + bytes([data[at] ^ 128]) + data[at + 1 :])
+    assert recover(config(), logs, None).last_ns == last_ns
+
+
+def times_of(path: Path) -> bytes:
+    """The first and the last log time of a file's messages, as its footer has them."""
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    times = summary.statistics.message_start_time, summary.statistics.message_end_time
+    return b"".join(time.to_bytes(8, "little") for time in times)
