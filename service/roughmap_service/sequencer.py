@@ -168,14 +168,16 @@ class Sequencer:
             raise _log_fault(self._writer.error)
         try:
             self._log_event(event)
-            self._empty(event)
+            durable = self._empty(event)
         except Exception as error:
             why = f"the logged reset could not be done: {type(error).__name__}: {error}; the next start does it"
             raise NotFollowed(why) from error
+        if not durable:
+            raise ShuttingDown("the service ends before the reset is on the disk; it is done if the log still gets there")
         return event.sequence, event.epoch
 
-    def _empty(self, event: ResetEvent) -> None:
-        """Do a reset that is in the log, once it is on the disk."""
+    def _empty(self, event: ResetEvent) -> bool:
+        """Do a reset that is in the log, once it is on the disk; False if the end comes before that."""
         synced = threading.Event()
         self._writer.put(Sync(synced.set))
         while not synced.wait(IDLE_SECONDS):
@@ -188,7 +190,9 @@ class Sequencer:
             self.state.apply(event)
             self.view.epoch = self.state.epoch
         self.decider.newest_stamp_ns = 0
-        self._publish_event(encode_event(event))
+        if synced.is_set():
+            self._publish_event(encode_event(event))
+        return synced.is_set()
 
     def _run(self) -> None:
         try:

@@ -127,3 +127,24 @@ def test_a_logged_reset_that_can_not_be_done_ends_the_sequencer_and_the_next_sta
     assert isinstance(events_of(read_back(tmp_path))[-1], ResetEvent), "nothing is logged behind it"
     back = recover(config(), tmp_path, None)
     assert (back.state.map.sequence, back.state.map.digest()) == (before + 1, RoughMap().digest())
+
+
+def test_a_reset_that_is_not_on_the_disk_at_the_end_is_not_told_as_done(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        service = Service(tmp_path, stack)
+        sequencer, told = service.sequencer, list[object]()
+
+        def ask_for_it() -> None:
+            try:
+                sequencer.call(lambda: told.append(sequencer.reset()), WAIT_S)
+            except ShuttingDown as error:
+                told.append(str(error))
+
+        service.disk.full = True
+        asking = threading.Thread(target=ask_for_it)
+        asking.start()
+        wait_for(service.disk.failed, "the disk to refuse the reset")
+        assert sequencer.stop(WAIT_S)
+        asking.join(WAIT_S)
+        assert told == ["the service ends before the reset is on the disk; it is done if the log still gets there"]
+        service.disk.full = False
