@@ -381,7 +381,7 @@ class LogWriter:
             return LogFile(path, metadata, self._compression, self._open_file, last_ns=last_ns)
         except FileExistsError:
             raise  # whatever it is, it is not ours to delete
-        except OSError:
+        except Exception:
             # A file without its beginning is no file of the run; the next try takes the same name.
             self._unbegun = path
             with contextlib.suppress(OSError):

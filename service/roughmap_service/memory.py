@@ -125,8 +125,11 @@ class Memory:
 
     def _evict(self, reading: Reading, number: int) -> tuple[int, str]:
         """How many tiles left, and what was in the way of more; "" if nothing was."""
-        with reading() as rough_map:
-            eviction = rough_map.spill(number)
+        try:
+            with reading() as rough_map:
+                eviction = rough_map.spill(number)
+        except MemoryError:  # for the shelf's tables, which grow with what lies there
+            return 0, f"{self.spill.path}: no memory to keep account of it"
         why = f"{self.spill.path}: map.spill_limit is reached" if eviction.short else ""
         try:
             eviction.write()

@@ -123,3 +123,30 @@ def test_a_disk_without_room_for_a_footer_gets_no_more_files(tmp_path: Path, cap
     assert len(opened) == 1
     assert [record.message for record in caplog.records if "footer" in record.message]
     assert events_of(read_back(tmp_path))[-1:] == [event]
+
+
+def test_a_file_for_whose_beginning_there_was_no_memory_is_made_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is left of it must not be in the way of the next try, which takes the same name."""
+    opened: list[Path] = []
+
+    def open_file(path: Path) -> Any:
+        class File(io.FileIO):
+            def write(self, data: Any) -> int:
+                if len(opened) == 2:
+                    raise MemoryError
+                return super().write(data)
+
+        opened.append(path)
+        return io.BufferedWriter(File(path, "xb"))
+
+    monkeypatch.setattr(log_writer, "RETRY_SECONDS", 0.01)
+    with Run(tmp_path, open_file=open_file) as run:
+        run.scan(0.0)
+        run.rotate()
+        run.scan(1.0)
+        assert run.writer.wait_synced(WAIT_S)
+        assert run.writer.wait_room(WAIT_S)
+        assert run.writer.index == 1
+    assert [item.number for item in inputs_of(read_back(tmp_path))] == list(range(1, 7))

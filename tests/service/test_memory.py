@@ -105,3 +105,21 @@ def test_a_file_that_may_not_grow_is_a_full_one(tmp_path: Path) -> None:
             relieve()
         assert (memory.ok, memory.full, m.resident_tiles) == (False, True, 50)
         assert spill.path.stat().st_size <= 10 * SLOT_BYTES
+
+
+def test_no_memory_to_choose_what_leaves_is_no_end(spill: Spill, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The shelf's tables grow with what lies there."""
+    m = RoughMap(error_model="point", threads=1, shelf=spill)
+    memory, relieve = pressed(spill, m)
+    m.add([[6.4 * x + 0.1, 0.0, 0.0] for x in range(40)])
+
+    def no_memory() -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("roughmap_service.memory.RETRY_SECONDS", 0.0)
+    with monkeypatch.context() as short:
+        short.setattr(spill, "_grow", no_memory)
+        relieve()
+        assert (memory.ok, memory.full, m.resident_tiles) == (False, True, 40)
+    relieve()
+    assert (memory.ok, memory.full, m.resident_tiles) == (True, False, 28)
