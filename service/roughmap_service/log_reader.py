@@ -193,7 +193,7 @@ def read_metadata(path: Path) -> RunMetadata:
 
 
 def last_log_time(path: Path) -> int:
-    """The largest log time of a closed file's messages in ns, as its footer says; 0 if it has none, or a damaged one."""
+    """The largest log time of a closed file's messages in ns, by its footer; 0 if it has none, or a damaged one."""
     try:
         if not has_summary(path):
             return 0

@@ -173,7 +173,7 @@ class Sequencer:
             why = f"the logged reset could not be done: {type(error).__name__}: {error}; the next start does it"
             raise NotFollowed(why) from error
         if not durable:
-            raise ShuttingDown("the service ends before the reset is on the disk; it is done if the log still gets there")
+            raise ShuttingDown("the service ends; the next start does the reset if the log still gets it to the disk")
         return event.sequence, event.epoch
 
     def _empty(self, event: ResetEvent) -> bool:

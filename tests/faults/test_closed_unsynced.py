@@ -86,9 +86,7 @@ def journal_of(shim: Shim, *steps: Callable[[Path], None]) -> list[Call]:
     [([run_until_the_footer], 60), ([run_until_the_footer, go_on], 63), ([leave_a_file_behind], 6)],
     ids=["cut", "start, cut", "left behind, cut"],
 )
-def test_what_is_gone_on_from_is_on_the_disk(
-    tmp_path: Path, steps: list[Callable[[Path], None]], logged: int
-) -> None:
+def test_what_is_gone_on_from_is_on_the_disk(tmp_path: Path, steps: list[Callable[[Path], None]], logged: int) -> None:
     """And whatever of a footer the cut left, every reader finds its way in the file after the start."""
     shim = Shim(tmp_path / "shim", journal=True)
     calls = journal_of(shim, *steps)

@@ -146,5 +146,5 @@ def test_a_reset_that_is_not_on_the_disk_at_the_end_is_not_told_as_done(tmp_path
         wait_for(service.disk.failed, "the disk to refuse the reset")
         assert sequencer.stop(WAIT_S)
         asking.join(WAIT_S)
-        assert told == ["the service ends before the reset is on the disk; it is done if the log still gets there"]
+        assert told == ["the service ends; the next start does the reset if the log still gets it to the disk"]
         service.disk.full = False
