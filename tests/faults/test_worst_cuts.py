@@ -1,5 +1,5 @@
-"""A power cut at every call of a start that repairs a log, and behind a snapshot and a store put aside, which leaves
-nothing that was not synced: what chance finds by and by in `make faults`, found each time."""
+"""A power cut that leaves nothing that was not synced, at every call of a start that repairs a log, and behind a run's
+beginning, a snapshot, a store put aside: what chance finds by and by in `make faults`, found each time."""
 
 import os
 import random
@@ -45,6 +45,13 @@ def started(log: Path) -> None:
     os._exit(DIES)
 
 
+def begun(log: Path) -> None:
+    """A run with nothing in it: a service that is ready, and may have told its epoch."""
+    make_directory(log)
+    Run(log)
+    os._exit(DIES)
+
+
 def stored(log: Path) -> None:
     """A run with a snapshot."""
     make_directory(log)
@@ -83,6 +90,11 @@ def test_a_repair_never_takes_away_what_was_on_the_disk(tmp_path: Path) -> None:
             disk.top.write(left, Worst())
             recover(config(), left / "log", None)
             assert [one.payload for one in inputs_of(read_back(left / "log"))] == whole, f"cut behind call {number}"
+
+
+def test_an_epoch_that_may_have_been_told_does_not_come_again(tmp_path: Path) -> None:
+    left = left_of(Shim(tmp_path / "shim", journal=True), tmp_path / "left", begun)
+    assert recover(config(), left / "log", None).epoch == 2
 
 
 def test_a_snapshot_that_is_told_of_is_on_the_disk(tmp_path: Path) -> None:
