@@ -175,9 +175,10 @@ def _compare(step: Step, state: RunState, taken: int) -> str | None:
 
 
 def _difference(logged: Event, found: Event | None) -> str:
+    there, here = logged.model_dump(mode="json"), {} if found is None else found.model_dump(mode="json")
     parts = [
-        f"{name} {there!r} in the log, {here!r} now"
-        for name, there in logged
-        if (here := getattr(found, name, None)) != there
+        f"{name} {value!r} in the log, {here.get(name)!r} now"
+        for name, value in there.items()
+        if here.get(name) != value
     ]
     return f"sequence {logged.sequence} ({logged.kind}): {'; '.join(parts)}"

@@ -20,7 +20,7 @@ from service_tools import (
     config,
 )
 
-from roughmap_schemas import IntegrationEvent, decode_event, encode_event, encode_odometry
+from roughmap_schemas import IntegrationEvent, PointReason, decode_event, encode_event, encode_odometry
 from roughmap_service.recovery import recover
 from roughmap_service.store import Store, StoreError
 
@@ -63,6 +63,12 @@ def fewer(data: bytes) -> bytes:
     return encode_event(event.model_copy(update={"accepted": event.accepted - 1}))
 
 
+def far(data: bytes) -> bytes:
+    event = decode_event(data)
+    assert isinstance(event, IntegrationEvent)
+    return encode_event(event.model_copy(update={"rejected": {PointReason.RANGE: 1}}))
+
+
 AGAIN = encode_event(
     IntegrationEvent(
         epoch=1,
@@ -86,6 +92,7 @@ CHANGES: dict[str, tuple[str, int, Callable[[bytes], bytes | None], str]] = {
     "a scan's event left out": ("/events", 2, lambda _: None, "sequence 2 (checkpoint): sequence 2 in the log, 1 now"),
     "a scan's event twice": ("/events", 1, lambda _: AGAIN, "sequence 2: an event names input 2"),
     "another outcome": ("/events", 2, fewer, "sequence 2 (integration): accepted 3 in the log, 4 now"),
+    "other reasons": ("/events", 2, far, "sequence 2 (integration): rejected {'range': 1} in the log, {} now"),
     "bytes that are no cloud": ("/points", 1, lambda data: data[:-9], "sequence 1: input 5 can't be read"),
 }
 """Which message, what becomes of it, and what the last line says then behind `differs at`."""
