@@ -70,7 +70,7 @@ def check_exposure(config: zenoh.Config, loaded: LoadedConfig, *, insecure: bool
         name, file = f"zenoh.{path.partition('.')[0]}", loaded.config.zenoh.config_file
         where = f"zenoh.config_file {file}: {path}" if file and not loaded.given(name) else name
         raise ConfigFault(
-            f"{where}:{text}; use tls/ with certificates (SECURITY.md), stay on 127.0.0.1 with zenoh.scouting = "
+            f"{where}:{text}; use tls/ with certificates (SECURITY.md), stay on tcp/127.0.0.1 with zenoh.scouting = "
             "false, or allow it by --insecure"
         )
     for text in (*found, *weaknesses(config)):

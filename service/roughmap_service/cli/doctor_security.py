@@ -22,7 +22,7 @@ def zenoh_access(loaded: LoadedConfig) -> list[Finding]:
         config = zenoh_config(loaded)
     except ConfigFault as error:
         return [Finding("security", "wrong", str(error), "mend the file or the setting that is named")]
-    mend = "use tls/ endpoints with certificates, stay on 127.0.0.1, or start with --insecure if the network is guarded"
+    mend = "use tls/ endpoints with certificates, stay on tcp/127.0.0.1, or --insecure if the network is guarded"
     findings = [Finding("security", "wrong", f"zenoh.{text}", mend) for text in exposures(config)]
     kept = "use tls/ with certificates (SECURITY.md), or keep the network closed"
     findings += [Finding("security", "note", text, kept) for text in weaknesses(config)]
