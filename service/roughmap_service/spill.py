@@ -68,11 +68,11 @@ class Spill(Shelf):
         """How many tiles more the file may take."""
         return self._most - self._slices + len(self._left)
 
-    def _grow(self) -> None:
-        slices = np.append(self._slice, np.full(STEP, NOWHERE, np.int32))
-        rows = np.append(self._rows, np.zeros(STEP, np.uint64))
-        check = np.append(self._check, np.zeros(STEP, np.uint64))
-        self._extend(STEP)
+    def _grow(self, number: int = STEP) -> None:
+        slices = np.append(self._slice, np.full(number, NOWHERE, np.int32))
+        rows = np.append(self._rows, np.zeros(number, np.uint64))
+        check = np.append(self._check, np.zeros(number, np.uint64))
+        self._extend(number)
         self._slice, self._rows, self._check = slices, rows, check
 
     def allocate(self, number: int) -> I4:
@@ -94,10 +94,12 @@ class Spill(Shelf):
         if self._stored is not None:  # of a recovery that failed, and begins again
             self._stored.close()
         self._stored = stored
-        places = super().allocate(len(stored.index.tx))
+        number = len(stored.index.tx)
+        self._grow(max(number - len(self._free), 0))  # at once: step by step, millions would take minutes
+        places = super().allocate(number)
         self._slice[places] = STORED
         self._number = np.zeros(len(self.pins), np.int32)
-        self._number[places] = np.arange(len(places))
+        self._number[places] = np.arange(number)
         return places
 
     def _vacated(self, place: int) -> None:
