@@ -1,11 +1,14 @@
 """Log lines on stderr: one a notable event, as JSON or for reading, repeats counted instead of told."""
 
+import io
 import json
 import logging
+import select
 import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Literal, TextIO
@@ -17,6 +20,11 @@ REPEAT_SECONDS, REPEATS = 60.0, 5
 
 MAX_KINDS = 1024
 """Kinds of lines that are remembered for that: robots' names come from outside."""
+
+
+STALL_MS = 200
+"""Whoever reads the lines and takes none for so long is not waited for again: a terminal that is stopped (Ctrl-S), or a
+collector that hangs, must not stop the map. Lines that are not taken are lost, and counted."""
 
 
 def note(logger: logging.Logger, level: int, event: str, text: str, *, always: bool = False, **fields: Any) -> None:
@@ -57,6 +65,12 @@ class Lines(logging.StreamHandler[TextIO]):
         self._clock = clock
         self._kinds: OrderedDict[tuple[object, ...], _Kind] = OrderedDict()
         self._counting = threading.Lock()
+        self._lost = 0
+        self._poll: select.poll | None = None
+        with suppress(io.UnsupportedOperation, ValueError):  # of a stream that is no file, and takes all
+            number = stream.fileno()
+            self._poll = select.poll()
+            self._poll.register(number, select.POLLOUT)
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write the record, or count it."""
@@ -68,8 +82,18 @@ class Lines(logging.StreamHandler[TextIO]):
             fields.get("robot"),
             fields.get("reason"),
         )
-        if not getattr(record, "always", False) and not self._may_tell(kind, record):
+        if getattr(record, "always", False) or self._may_tell(kind, record):
+            self._write(record)
+
+    def _write(self, record: logging.LogRecord) -> None:
+        """Write the record, unless the stream takes nothing."""
+        if self._poll is not None and not self._poll.poll(0 if self._lost else STALL_MS):
+            self._lost += 1
             return
+        if self._lost:
+            told = f"{self._lost} log lines are lost: nobody took them"
+            self._lost = 0
+            super().emit(logging.LogRecord(__name__, logging.WARNING, __file__, 0, told, None, None))
         super().emit(record)
 
     def _may_tell(self, kind: tuple[object, ...], record: logging.LogRecord) -> bool:
@@ -95,7 +119,7 @@ class Lines(logging.StreamHandler[TextIO]):
         for kind in kinds:
             if kind.last is not None:
                 kind.last.repeats = kind.held - 1
-                super().emit(kind.last)
+                self._write(kind.last)
         super().close()
 
 

@@ -3,6 +3,7 @@
 import io
 import json
 import logging
+import os
 from collections.abc import Iterator
 
 import pytest
@@ -167,3 +168,19 @@ def status() -> MapStatus:
         sequence=0, durable_sequence=0, input=0, newest_stamp_ns=0, clouds={}, points={}, poses={}, refused={}, gaps={},
         jumps={}, lag_s={}, rates={}, memory_bytes=0, tiles={}, log={}, uptime_s=1.0,
     )  # fmt: skip
+
+
+def test_nobody_waits_for_a_reader_of_the_lines_who_takes_none(logger: logging.Logger) -> None:
+    """They are lost, and counted when there is a reader again."""
+    reading, writing = os.pipe()
+    with os.fdopen(reading, "rb", buffering=0) as reader, os.fdopen(writing, "w", encoding="utf-8") as stream:
+        handler = Lines(stream)
+        handler.setFormatter(TextFormatter())
+        logger.addHandler(handler)
+        for n in range(2000):  # a pipe takes 64 KiB
+            note(logger, logging.INFO, "line", f"line {n} {'.' * 100}", always=True)
+        taken = reader.read(1 << 20)
+        note(logger, logging.INFO, "line", "the end", always=True)
+        lost, end = reader.read(1 << 20).decode().splitlines()
+        assert lost.endswith(f"WARNING {2000 - taken.count(b'INFO line')} log lines are lost: nobody took them")
+        assert end.endswith("INFO the end")
