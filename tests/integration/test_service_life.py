@@ -71,6 +71,14 @@ def test_a_signal_ends_it_in_order(tmp_path: Path, number: signal.Signals) -> No
         assert replay(service.log)[1].startswith("equal: 1 checkpoints, sequence 1, digest ")
 
 
+def test_a_signal_is_heeded_from_the_first_line_on(tmp_path: Path) -> None:
+    with Service(tmp_path) as service:
+        service.told("roughmap")
+        assert service.stop() == 0
+        assert service.out == []
+        assert "ended in order on SIGTERM" in service.err[-1]
+
+
 def test_a_second_service_of_the_same_map_does_not_start(service: Service, tmp_path: Path) -> None:
     ready = service.ready()
     with Service(tmp_path, zenoh={"connect": ready["endpoints"]}) as second:

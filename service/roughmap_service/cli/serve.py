@@ -45,15 +45,6 @@ def serve(
     service = loaded.config.service
     set_up(service.log_format, "debug" if verbose else service.log_level, sys.stderr)
     begun = time.monotonic()
-    source, release = str(loaded.path or "no file"), version("roughmap")
-    text = f"roughmap {release} starts; map {loaded.config.map.name!r}, configuration: {source}"
-    note(log, logging.INFO, "start", text, map=loaded.config.map.name, version=release, configuration=source)
-
-    if not loaded.config.sensors and not any(robot.sensors for robot in loaded.config.robots.values()):
-        log.warning("no sensors: only clouds in the map's own frame are taken; add [sensors.FRAME_ID]")
-
-    from roughmap_service.serve import ServiceFailed
-    from roughmap_service.serve import serve as run
 
     stop = threading.Event()
     reason = ""
@@ -67,6 +58,17 @@ def serve(
 
     signal.signal(signal.SIGTERM, end)
     signal.signal(signal.SIGINT, end)
+
+    source, release = str(loaded.path or "no file"), version("roughmap")
+    text = f"roughmap {release} starts; map {loaded.config.map.name!r}, configuration: {source}"
+    note(log, logging.INFO, "start", text, map=loaded.config.map.name, version=release, configuration=source)
+
+    if not loaded.config.sensors and not any(robot.sensors for robot in loaded.config.robots.values()):
+        log.warning("no sensors: only clouds in the map's own frame are taken; add [sensors.FRAME_ID]")
+
+    # Loaded when signals are heeded already: it takes a second and more, and a process 1 would never hear of one.
+    from roughmap_service.serve import ServiceFailed
+    from roughmap_service.serve import serve as run
 
     def announce(ready: dict[str, Any]) -> None:
         print(json.dumps(ready), flush=True)  # noqa: T201 - the one line that stdout is for
