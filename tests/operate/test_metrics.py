@@ -2,7 +2,9 @@
 
 import platform
 from pathlib import Path
+from types import SimpleNamespace
 
+import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from served import Served, some_points
 
@@ -128,6 +130,29 @@ def test_a_copy_of_the_counters_stays_as_it_was() -> None:
     counters.query("ok", 0.1)
     counters.refuse("busy")
     assert (sum(before.queries["ok"].counts), before.refused.total()) == (1, 0)
+
+
+def test_an_overload_ends_when_none_was_dropped_for_a_while_and_none_came_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cloud is late that waited for longer than its poses may take (half a second here) and one second more."""
+    clock = [0.0]
+    monkeypatch.setattr("roughmap_service.counters.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    counters = Counters(max_wait=0.5)
+
+    def after(seconds: float, waited: float | None = None) -> bool:
+        """Whether it is overloaded then, when a cloud that waited for so long has come into the map."""
+        clock[0] += seconds
+        if waited is not None:
+            counters.cloud("integrated", 1, {}, clock[0] - waited)
+        return counters.overloaded
+
+    assert not after(1.0, waited=9.0), "one that is late, where none was dropped"
+    counters.refuse("busy")
+    assert after(1.9)
+    assert not after(0.1)
+    counters.cloud("overload", 0, {}, None)
+    assert after(1.9, waited=1.6)
+    assert after(1.9, waited=1.4)
+    assert not after(0.1)
 
 
 def test_a_registration_makes_no_status(tmp_path: Path) -> None:

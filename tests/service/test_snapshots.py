@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_tools import WAIT_S, Run, cloud
+from service_tools import WAIT_S, Run, cloud, config
 
 from roughmap import RoughMap
 from roughmap_service import snapshots
@@ -53,6 +53,27 @@ def test_no_snapshot(
         run.snapshot()
         assert run.snapshots.ok
         assert recover(run.config, tmp_path / "log", store).state.map.digest() == run.state.map.digest()
+
+
+def test_a_snapshot_that_fails_lets_no_file_of_the_log_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The store is still the one before it, and may need them."""
+    store = Store(tmp_path / "map.db")
+    bounded = config(log={"keep": 1}, store={"path": str(store.path)})
+    with Run(tmp_path / "log", bounded, store=store) as run:
+        for t in range(2):
+            run.scan(float(t))
+            run.rotate()
+        assert run.writer.wait_synced(WAIT_S)
+        files = {path.name for path in (tmp_path / "log").glob("*.mcap")}
+        with monkeypatch.context() as patch:
+            patch.setattr(Store, "write", no_memory)
+            thread = run.snapshots.offer(cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
+            assert thread is not None
+            thread.join(WAIT_S)
+        assert {path.name for path in (tmp_path / "log").glob("*.mcap")} == files
+        assert len(files) == 3
+        run.snapshot()
+        assert [path.name for path in (tmp_path / "log").glob("*.mcap")] == [run.writer.path.name]
 
 
 def test_what_the_store_does_not_take_is_told_once_and_so_is_its_end(
