@@ -169,7 +169,7 @@ def _from_text(parts: tuple[str, ...], text: str, source: str) -> object:
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
-        raise ConfigFault(f"{source}: {'.'.join(parts)}: must be JSON; found {_found(text, parts[0])}") from None
+        raise ConfigFault(f"{source}: {'.'.join(parts)}: must be JSON; found {_found(text, parts)}") from None
 
 
 def _validated(values: dict[str, Any], given: Mapping[str, str], otherwise: str) -> Config:
@@ -200,12 +200,12 @@ def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> s
     elif first["type"] == "string_pattern_mismatch":
         pattern = text.partition(" pattern ")[2]
         must = f"must be {NAME_WORDS}" if NAME_PATTERN.removesuffix(r"\Z") in pattern else f"must match {pattern}"
-        text = f"{must}; found {_found(first['input'], parts[0] if parts else '')}"
+        text = f"{must}; found {_found(first['input'], parts)}"
     elif first["type"] in ("model_type", "dict_type"):
         how = f" (its values one by one, as {dotted}.NAME=VALUE)" if isinstance(first["input"], str) else ""
-        text = f"must be a table{how}; found {_found(first['input'], parts[0] if parts else '')}"
+        text = f"must be a table{how}; found {_found(first['input'], parts)}"
     elif dotted and not text.startswith(f"{dotted}.") and "found" not in text:
-        text = f"{text}; found {_found(first['input'], parts[0] if parts else '')}"
+        text = f"{text}; found {_found(first['input'], parts)}"
     key, colon, rest = text.partition(": ")
     if colon and " " not in key and (not dotted or key.startswith(f"{dotted}.")):
         # A check over several settings names the one that it is about by itself.
@@ -244,9 +244,10 @@ def _allowed(parts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(model.model_fields)
 
 
-def _found(value: object, section: str) -> str:
-    """Show a value in an error, but nothing of ``zenoh`` that may be a secret: no more than an endpoint's address."""
-    if section == "zenoh" and not isinstance(value, bool | int | float):
-        value = without_secrets(value) if isinstance(value, str) else type(value)
+def _found(value: object, parts: tuple[str, ...]) -> str:
+    """Show a value in an error, but nothing of ``zenoh`` and ``http`` that may be a secret: of an endpoint its address,
+    and nothing at all of what stands where a table, or one text, should be."""
+    if parts[:1] in {("zenoh",), ("http",)} and not isinstance(value, bool | int | float):
+        value = without_secrets(value) if isinstance(value, str) and len(parts) > 1 else type(value)
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:77]}..."
