@@ -133,8 +133,8 @@ def _begin(files: Sequence[RunFile], state: RunState, from_store: Path | None) -
     if from_store is None:
         if first.base_sequence or first.first_record > 1:
             raise ReplayError(
-                f"{files[0].path.name} begins at sequence {first.base_sequence}, not 0: give the map.db that it "
-                "goes on from (--from map.db), or the files before it"
+                f"{files[0].path.name} begins at record {first.first_record} (sequence {first.base_sequence}), not "
+                "where the run does: give the map.db that it goes on from (--from map.db), or the files before it"
             )
         return 0, 1
     store = Store(from_store)
