@@ -5,6 +5,8 @@ import itertools
 import logging
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from mcap.records import Channel, Message, Metadata, Schema
@@ -40,28 +42,26 @@ def repair(path: Path, *, damaged: bool = False) -> Path | None:
     if is_closed(path) and not damaged:
         return None
     torn = _beside(path, "torn")
-    whole = path.with_name(path.name + ".part")
-    with made_anew(whole) as stream:
-        writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True)
-        writer.start(profile=PROFILE)
-        end = _copy(path, writer)
-        writer.finish()
-        stream.flush()
-        os.fsync(stream.fileno())
-    over = not end or path.stat().st_size > end
-    if not end:
-        path.rename(torn)
-        whole.unlink()
-    else:
-        if over:
-            copy = path.with_name(path.name + ".rest")
-            with path.open("rb") as source, made_anew(copy) as rest:
-                source.seek(end)
-                shutil.copyfileobj(source, rest)
-                rest.flush()
-                os.fsync(rest.fileno())
-            copy.rename(torn)
-        whole.rename(path)
+    with _made_beside(path, "part") as whole, _made_beside(path, "rest") as copy:
+        with made_anew(whole) as stream:
+            writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True)
+            writer.start(profile=PROFILE)
+            end = _copy(path, writer)
+            writer.finish()
+            stream.flush()
+            os.fsync(stream.fileno())
+        over = not end or path.stat().st_size > end
+        if not end:
+            path.rename(torn)
+        else:
+            if over:
+                with path.open("rb") as source, made_anew(copy) as rest:
+                    source.seek(end)
+                    shutil.copyfileobj(source, rest)
+                    rest.flush()
+                    os.fsync(rest.fileno())
+                copy.rename(torn)
+            whole.rename(path)
     sync_directory(path.parent)
     where = f"the rest is in {torn.name}" if over else "nothing was torn"
     what = "is damaged" if damaged else "had no footer"
@@ -120,6 +120,17 @@ def put_behind(files: list[Path]) -> None:
         log.error("%s can't be placed in the run, and is %s now", file.name, kept.name)
     if files:
         sync_directory(files[0].parent)
+
+
+@contextmanager
+def _made_beside(path: Path, kind: str) -> Iterator[Path]:
+    """A name for what is made of a file and gets another name when it is whole. Else it goes, whatever failed: a disk
+    that is full must not be full of tries."""
+    made = path.with_name(f"{path.name}.{kind}")
+    try:
+        yield made
+    finally:
+        made.unlink(missing_ok=True)
 
 
 def _beside(path: Path, kind: str) -> Path:

@@ -1,6 +1,7 @@
 """A file that a kill tore: read up to its last whole record wherever it was torn, and made whole by the repair."""
 
 import contextlib
+import errno
 import itertools
 import os
 import shutil
@@ -187,3 +188,27 @@ def test_a_file_that_was_never_begun_keeps_no_folder_from_being_replayed(left: P
         assert replay(tmp_path)[:2] == expected
         code, _, told = replay(nothing)
         assert (code, "ends before its footer" in told) == (2, True)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_a_repair_for_which_there_is_no_room_leaves_all_as_it_was(
+    left: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, which: int
+) -> None:
+    """A full disk must not stay full of tries; with room again the next start repairs the file."""
+    path = tmp_path / left.name
+    torn = left.read_bytes()[:-40]
+    path.write_bytes(torn)
+    real, calls = os.fsync, itertools.count()
+
+    def fsync(handle: int) -> None:
+        if next(calls) == which:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(handle)
+
+    with monkeypatch.context() as full:
+        full.setattr(os, "fsync", fsync)
+        with pytest.raises(OSError, match="No space left"):
+            repair(path)
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.read_bytes() == torn
+    assert repair(path) == path.with_name(path.name + ".torn")
