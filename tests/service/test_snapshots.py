@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zstandard
 from service_tools import WAIT_S, Run, cloud, config
 
 from roughmap import RoughMap
@@ -21,6 +22,10 @@ def no_memory(*_: Any, **__: Any) -> Any:
     raise MemoryError
 
 
+def no_memory_to_pack(*_: Any) -> None:
+    raise zstandard.ZstdError("cannot compress: Allocation error : not enough memory")
+
+
 def no_thread(*_: Any) -> None:
     raise RuntimeError("can't start new thread")
 
@@ -29,6 +34,7 @@ def no_thread(*_: Any) -> None:
     ("owner", "name", "fault", "told"),
     [
         (Store, "write", no_memory, "no memory"),
+        (Store, "write", no_memory_to_pack, "not enough memory"),
         (RoughMap, "freeze", no_memory, "no memory"),
         (threading.Thread, "start", no_thread, "new thread"),
     ],
