@@ -172,8 +172,7 @@ def _run(
                 log.warning("an event could not be published: %s", error)
 
         def cut() -> None:
-            if snapshots.enabled:  # a cut costs the sequencer some time: all poses and remembered messages as JSON
-                snapshots.offer(cut_of(run, config, state, sequencer.inbox, recovered.duplicates))
+            snapshots.offer(lambda: cut_of(run, config, state, sequencer.inbox, recovered.duplicates))
 
         sequencer = Sequencer(
             state, view, writer, intake, counters, memory, recovered.duplicates, keys,

@@ -3,6 +3,7 @@
 import logging
 import threading
 import time
+from collections.abc import Callable
 
 from roughmap.frozen import Frozen
 from roughmap_schemas import Config, configuration_digest
@@ -83,17 +84,20 @@ class Snapshots:
         """Whether there is a store."""
         return self._store is not None
 
-    def offer(self, cut: Cut) -> threading.Thread | None:
-        """Begin to store a cut that is the map's present state; call it where nobody changes the map meanwhile.
+    def offer(self, make: Callable[[], Cut]) -> threading.Thread | None:
+        """Begin to store the cut that ``make`` gives, the map's present state; call it where nobody changes the map
+        meanwhile.
 
-        Returns the thread that writes it, None if there is no store or it is still being written.
+        Returns the thread that writes it, None if there is no store or it is still being written: then no cut is made,
+        which costs the sequencer some time (all poses and remembered messages) and memory.
         """
         if self._store is None or not self._busy.acquire(blocking=False):
             return None
-        # Tiles stored under another epoch of this process may have been emptied by a reset since.
-        after = self.sequence if self._epoch_of_tiles == cut.epoch else None
         frozen = None
         try:
+            cut = make()
+            # Tiles stored under another epoch of this process may have been emptied by a reset since.
+            after = self.sequence if self._epoch_of_tiles == cut.epoch else None
             with self._view.reading() as rough_map:
                 frozen = rough_map.freeze(after=-1 if after is None else after)
                 outlived = self._outlived()
@@ -104,6 +108,9 @@ class Snapshots:
             self._fail(error)
             self._end(frozen)
             return None
+        except BaseException:
+            self._end(frozen)
+            raise
         self._thread = thread
         return thread
 

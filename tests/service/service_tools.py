@@ -215,7 +215,7 @@ class Run:
 
     def snapshot(self) -> None:
         """Store the run's cut, and wait until it is there."""
-        thread = self.snapshots.offer(cut_of(self.run, self.config, self.state, self.inbox, self.duplicates))
+        thread = self.snapshots.offer(lambda: cut_of(self.run, self.config, self.state, self.inbox, self.duplicates))
         assert thread is not None
         thread.join(WAIT_S)
         assert not thread.is_alive()

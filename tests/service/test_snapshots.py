@@ -13,6 +13,7 @@ from service_tools import WAIT_S, Run, cloud, config
 from roughmap import RoughMap
 from roughmap_service import snapshots
 from roughmap_service.log_file import Kind
+from roughmap_service.poses import PoseBuffer
 from roughmap_service.recovery import recover
 from roughmap_service.snapshots import cut_of
 from roughmap_service.store import Store
@@ -36,6 +37,7 @@ def no_thread(*_: Any) -> None:
         (Store, "write", no_memory, "no memory"),
         (Store, "write", no_memory_to_pack, "not enough memory"),
         (RoughMap, "freeze", no_memory, "no memory"),
+        (PoseBuffer, "to_state", no_memory, "no memory"),
         (threading.Thread, "start", no_thread, "new thread"),
     ],
 )
@@ -49,7 +51,7 @@ def test_no_snapshot(
         run.checkpoint()
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, fault)
-            thread = run.snapshots.offer(cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
+            thread = run.snapshots.offer(lambda: cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
             if thread is not None:
                 thread.join(WAIT_S)
         assert told in run.snapshots.error
@@ -73,7 +75,7 @@ def test_a_snapshot_that_fails_lets_no_file_of_the_log_go(tmp_path: Path, monkey
         files = {path.name for path in (tmp_path / "log").glob("*.mcap")}
         with monkeypatch.context() as patch:
             patch.setattr(Store, "write", no_memory)
-            thread = run.snapshots.offer(cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
+            thread = run.snapshots.offer(lambda: cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
             assert thread is not None
             thread.join(WAIT_S)
         assert {path.name for path in (tmp_path / "log").glob("*.mcap")} == files
@@ -89,7 +91,7 @@ def test_what_the_store_does_not_take_is_told_once_and_so_is_its_end(
     with Run(tmp_path / "log", store=Store(tmp_path / "folder" / "map.db")) as run:
         (tmp_path / "folder").write_text("a file is in its way")
         for _ in range(3):
-            thread = run.snapshots.offer(cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
+            thread = run.snapshots.offer(lambda: cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
             assert thread is not None
             thread.join(WAIT_S)
             assert not run.snapshots.ok
@@ -115,7 +117,7 @@ def test_a_store_that_hangs_is_one_that_takes_nothing(tmp_path: Path, monkeypatc
     with Run(tmp_path / "log", store=store) as run:
         run.snapshots.look()
         assert run.snapshots.ok, "nothing is being stored"
-        thread = run.snapshots.offer(cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
+        thread = run.snapshots.offer(lambda: cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
         assert thread is not None
         assert asked.wait(WAIT_S)
         assert run.snapshots.ok, "nobody looked"

@@ -162,7 +162,7 @@ def test_a_snapshot_overwrites_nothing_that_is_still_read(
             assert run.writer.wait_synced(WAIT_S)
             monkeypatch.setattr("roughmap_service.snapshots.SYNC_SECONDS", 0.0)
             monkeypatch.setattr(run.writer, "wait_synced", lambda _: True)
-        thread = run.snapshots.offer(cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
+        thread = run.snapshots.offer(lambda: cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
         assert thread is not None
         if not patient:
             thread.join(WAIT_S)
