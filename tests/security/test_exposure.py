@@ -91,6 +91,15 @@ def test_weaknesses() -> None:
     assert "tcp/map:7447 is not encrypted" in weaknesses(listening(connect={"endpoints": ["tcp/map:7447"]}))[0]
 
 
+@pytest.mark.parametrize("mode", ["peer", "client"])
+def test_by_default_the_session_looks_for_nobody_and_shares_no_memory(mode: str) -> None:
+    config = zenoh_config(load_config(None, {"zenoh.mode": mode}, {}))
+    assert json.loads(config.get_json("listen/endpoints")) == ["tcp/127.0.0.1:7447"]
+    paths = ["scouting/multicast/enabled", "transport/shared_memory/enabled"]
+    paths += ["scouting/gossip/enabled"] if mode == "peer" else []
+    assert [config.get_json(path) for path in paths] == ["false"] * len(paths)
+
+
 def refusal(tmp_path: Path, text: str, **settings: object) -> str:
     file = tmp_path / "roughmap.toml"
     file.write_text(text)
