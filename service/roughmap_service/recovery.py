@@ -202,7 +202,8 @@ def _fill(result: Recovered, config: Config, store: Store | None, files: list[Ru
             "bring back what is missing, or start with --fresh"
         )
     result.run, result.index, result.epoch = last.run, last.index + 1, last.epoch + 1
-    result.last_ns = max(last_log_time(file.path) for file in files)
+    times = (last_log_time(file.path) for file in reversed(files))
+    result.last_ns = next((time for time in times if time), 0)  # they rise over the run; a full file's footer takes 1 s
     while len(files) > 1 and files[1].metadata.first_record <= taken and files[1].metadata.first_input <= low_water:
         files = files[1:]
     end = _fold_files(result, files, taken, low_water, watch)

@@ -12,7 +12,7 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from service_tools import Run, config, inputs_of, read_back
 
-from roughmap_service.log_reader import MAGIC, DamagedLog, LogError, raw_records, read_file
+from roughmap_service.log_reader import MAGIC, DamagedLog, LogError, last_log_time, raw_records, read_file
 from roughmap_service.recovery import Recovered, recover
 from roughmap_service.replay import replay
 from roughmap_service.store import Store, StoreError
@@ -301,6 +301,7 @@ def test_a_damaged_footer_does_not_move_the_times_of_the_log(logs: Path) -> None
         # Behind the data end record, opcode 15 of four bytes, they stand in the statistics first.
         at = data.index(times, data.rindex(b"\x0f" + (4).to_bytes(8, "little"))) + len(times) - 1
         path.write_bytes(data[:at] + bytes([data[at] ^ 128]) + data[at + 1 :])
+        assert last_log_time(path) == 0
     assert recover(config(), logs, None).last_ns == last_ns
 
 
