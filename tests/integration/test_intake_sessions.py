@@ -12,6 +12,7 @@ from net import open_pair, wait_for
 from roughmap_client import QueryRefused
 from roughmap_client.asking import ask
 from roughmap_schemas import Keys
+from roughmap_service import intake
 from roughmap_service.counters import Counters
 from roughmap_service.ingest import Replies
 from roughmap_service.intake import Intake, ZenohInputs
@@ -156,3 +157,13 @@ def test_missing_message_numbers_are_counted_by_robot_and_kind(door: Door) -> No
     door.client.put("robots/a/points", b"x")
     door.settle()
     assert dict(door.counters.snapshot().gaps) == {"a": 2, "b": 1}
+
+
+def test_of_no_more_streams_than_there_may_be_is_a_number_kept(door: Door, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names come from outside: of one past the limit a gap is not seen."""
+    monkeypatch.setattr(intake, "MAX_NUMBERED", 2)
+    for number in (1, 3):
+        for robot in ("a", "b", "c"):
+            door.client.put(f"robots/{robot}/points", b"x", attachment=number.to_bytes(8, "little"))
+    door.settle()
+    assert door.counters.snapshot().gaps == {"a": 1, "b": 1}
