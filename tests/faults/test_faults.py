@@ -36,6 +36,8 @@ def test_nothing_is_found(name: str, tmp_path: Path) -> None:
     title, do, _ = TRIALS[name]
     trial = Trial(title)
     do(trial, tmp_path, random.Random(f"tests {name}"), SHORT[name])
+    if name == "realdisk" and not trial.tried and not trial.found:
+        pytest.skip(f"{next(iter(trial.notes))}; the same faults are injected above")
     trial.check()
 
 
