@@ -12,6 +12,8 @@ import pytest
 from report import Trial
 from run import TRIALS
 
+RUN = Path(__file__).with_name("run.py")
+
 SHORT = {
     "kills": 1,
     "start": 1,
@@ -33,16 +35,28 @@ SHORT = {
 
 @pytest.mark.parametrize("name", TRIALS)
 def test_nothing_is_found(name: str, tmp_path: Path) -> None:
-    title, do, _ = TRIALS[name]
+    title, do, full = TRIALS[name]
+    if name == "realdisk" and os.geteuid():
+        try_in_a_namespace(name, SHORT[name] / full, tmp_path)
+        return
     trial = Trial(title)
     do(trial, tmp_path, random.Random(f"tests {name}"), SHORT[name])
-    if name == "realdisk" and not trial.tried and not trial.found:
-        pytest.skip(f"{next(iter(trial.notes))}; the same faults are injected above")
     trial.check()
 
 
+def try_in_a_namespace(name: str, share: float, folder: Path) -> None:
+    """Where a user may mount something, other than root."""
+    command = ["unshare", "--user", "--map-root-user", "--mount", sys.executable, str(RUN)]
+    done = subprocess.run(
+        [*command, "--only", name, "--share", str(share)], env={**os.environ, "TMPDIR": str(folder)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"\(real\) +[1-9]\d* +0 ", done.stdout), done.stdout + done.stderr
+
+
 def test_the_command_tells_what_it_tried(tmp_path: Path) -> None:
-    command = [sys.executable, str(Path(__file__).with_name("run.py")), "--only", "stores", "--share", "0.02"]
+    command = [sys.executable, str(RUN), "--only", "stores", "--share", "0.02"]
     done = subprocess.run([*command, "--seed", "3"], capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "seed 3" in done.stderr
