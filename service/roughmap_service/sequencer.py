@@ -190,9 +190,10 @@ class Sequencer:
             self.state.apply(event)
             self.view.epoch = self.state.epoch
         self.decider.newest_stamp_ns = 0
-        if synced.is_set():
+        durable = synced.is_set()
+        if durable:
             self._publish_event(encode_event(event))
-        return synced.is_set()
+        return durable
 
     def _run(self) -> None:
         try:

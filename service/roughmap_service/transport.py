@@ -113,7 +113,7 @@ def claim(
     """
     own, until = keys.alive(instance), time.monotonic() + seconds
     token = session.liveliness().declare_token(own)
-    told = False
+    warned = False
     while True:
         others = sorted(
             key
@@ -123,13 +123,13 @@ def claim(
         left = until - time.monotonic()
         if not others or left <= 0 or stop.is_set():
             return token, others
-        if not told:
+        if not warned:
             log.warning(
                 "this map seems to be served already: %s; waiting at most %g s for it to go (a killed service is seen "
                 "until its lease ends; service.alive_wait); if it still runs, stop it, or set another map.name here",
                 ", ".join(others), seconds,
             )  # fmt: skip
-            told = True
+            warned = True
         if others[0] < own:
             token.undeclare()
         # Their tokens end by themselves: the lease of a dead instance, or the shutdown of a living one.

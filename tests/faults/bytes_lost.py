@@ -90,10 +90,8 @@ def _cut_all(trial: Trial, folder: Path, rng: random.Random, number: int | None,
     path = work / last.name
     before, rewritten, there = -1, b"", []
     for cut in _places(content, rng, number, FOOTER if closed else LAST):
-        for torn in work.glob(
-            f"{last.name}.*"
-        ):  # what the last cut's repair kept: each further one would look for a name
-            torn.unlink()
+        for torn in work.glob(f"{last.name}.*"):
+            torn.unlink()  # else each repair would look for one name more
         path.write_bytes(content[:cut])
         where = f"cut at byte {cut} of {len(content)}"
         try:

@@ -124,9 +124,8 @@ def test_an_end_that_the_spill_file_holds_up_is_no_good_end(tmp_path: Path, shim
     ):
         feed.ingest("points", "r1", dense(0))
         assert service.stop() == 1
-    assert any(line.startswith("roughmap: the sequencer did not end in time; ") for line in service.err), service.err[
-        -5:
-    ]
+    last = service.err[-5:]
+    assert any(line.startswith("roughmap: the sequencer did not end in time; ") for line in service.err), last
     assert not any("ended in order" in line for line in service.err)
 
 

@@ -68,15 +68,15 @@ def run(arguments: Sequence[str]) -> int:
     except click.exceptions.Exit as stop:
         return stop.exit_code
     except (click.Abort, KeyboardInterrupt):
-        return _complain("interrupted", 130)
+        return complain("interrupted", 130)
     except _NO_ARGUMENTS as error:
         click.echo(error.format_message(), err=True)  # the help: more use than a line that says what is missing
         return error.exit_code
     except click.UsageError as error:
         where = f" (see: {error.ctx.command_path} --help)" if error.ctx is not None else ""
-        return _complain(error.format_message() + where, error.exit_code)
+        return complain(error.format_message() + where, error.exit_code)
     except click.ClickException as error:
-        return _complain(error.format_message(), error.exit_code)
+        return complain(error.format_message(), error.exit_code)
     except BrokenPipeError:
         # The reader of our output left, as `| head` does. What is still buffered must not be tried again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -85,7 +85,7 @@ def run(arguments: Sequence[str]) -> int:
         code = _exit_code(error)
         if code is None:
             raise  # a fault of our own: the traceback is what helps
-        return _complain(_text(error), code)
+        return complain(_text(error), code)
     return result if isinstance(result, int) else 0
 
 
@@ -132,7 +132,8 @@ def _text(error: Exception) -> str:
     return str(error) or type(error).__name__
 
 
-def _complain(message: str, code: int) -> int:
+def complain(message: str, code: int) -> int:
+    """Tell of an error in one line; returns the exit code."""
     from roughmap_service.logs import printable
 
     click.echo(f"roughmap: {printable(' '.join(message.split()))}", err=True)

@@ -37,6 +37,7 @@ def serve(
     when it is ready; everything else goes to stderr. SIGTERM or Ctrl-C ends it in order, a second one at once.
     """
     from roughmap_schemas.config import without_secrets
+    from roughmap_service.cli.main import complain
     from roughmap_service.logs import note, set_up
 
     sys.setswitchinterval(SWITCH_SECONDS)
@@ -86,7 +87,6 @@ def serve(
         text = f"ended in order on {reason}, after {time.monotonic() - begun:.0f} s"
         note(log, logging.INFO, "end", text, signal=reason)
     except ServiceFailed as error:
-        code = 1
-        click.echo(f"roughmap: {' '.join(str(error).split())}", err=True)
+        code = complain(str(error), 1)
     logging.shutdown()
     os._exit(code)  # a thread that Zenoh lets go of only now would find the interpreter half gone, and abort
