@@ -15,7 +15,7 @@ import roughmap_client
 import roughmap_schemas
 import roughmap_service
 from roughmap_schemas import Config
-from roughmap_service.warmup import warm_up
+from roughmap_service.engine.warmup import warm_up
 
 OPTIONAL = {"matplotlib", "laspy", "rosbags", "rasterio"}
 """Of extras that the image leaves out."""

@@ -5,12 +5,12 @@ points come into it; `georeference` places them without a map.
 """
 
 from roughmap.cell import CELL_DTYPE, STATE_VERSION, TILE_CELLS, PointReason, TooManyTiles
-from roughmap.georeference import georeference
-from roughmap.integrate import AddReport
+from roughmap.integration.integrate import AddReport
 from roughmap.map import RoughMap
-from roughmap.region import Region
-from roughmap.scan import Limits, Noise, Scan
-from roughmap.trajectory import Trajectory
+from roughmap.points.georeference import georeference
+from roughmap.points.scan import Limits, Noise, Scan
+from roughmap.points.trajectory import Trajectory
+from roughmap.reading.region import Region
 
 __all__ = [
     "CELL_DTYPE",

@@ -17,9 +17,11 @@ F = TypeVar("F", bound=Callable[..., object])
 @cache
 def _stamp(folder: Path) -> str:
     """A digest of the sources in a folder and of this package's, of which kernels there may be made."""
+    package = Path(__file__).resolve().parent
     digest = hashlib.sha256()
-    for path in sorted({*folder.glob("*.py"), *Path(__file__).resolve().parent.glob("*.py")}):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    for path in sorted({*folder.glob("*.py"), *package.rglob("*.py")}):
+        name = path.relative_to(package) if path.is_relative_to(package) else path.name
+        digest.update(str(name).encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
 

@@ -9,19 +9,14 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from roughmap import blocks, loading
 from roughmap.arrays import I4, I8, U1, Records
-from roughmap.blocks import State
 from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS, TILE_CELLS, PointReason
-from roughmap.digest import map_digest
-from roughmap.eviction import Eviction
-from roughmap.frozen import Frozen
-from roughmap.index import TileBox, TileVersions, paired
-from roughmap.integrate import AddReport, Geometry, Prepared, integrate, prepare
-from roughmap.merge_cache import MergeCache
-from roughmap.place import pose_at
-from roughmap.region import Region, cell_box, read_region, tile_box
-from roughmap.scan import (
+from roughmap.integration import blocks
+from roughmap.integration.blocks import State
+from roughmap.integration.integrate import AddReport, Geometry, Prepared, integrate, prepare
+from roughmap.integration.workspace import Planes, ThreadScratch, Workspace
+from roughmap.points.place import pose_at
+from roughmap.points.scan import (
     Limits,
     Noise,
     Scan,
@@ -31,12 +26,18 @@ from roughmap.scan import (
     checked_stamps,
     point_rules,
 )
+from roughmap.points.strided import source_of
+from roughmap.points.trajectory import Trajectory
+from roughmap.reading.frozen import Frozen
+from roughmap.reading.merge_cache import MergeCache
+from roughmap.reading.region import Region, cell_box, read_region, tile_box
 from roughmap.settings import Settings
-from roughmap.shelf import Shelf
-from roughmap.strided import source_of
-from roughmap.tiles import Hold, TileTable
-from roughmap.trajectory import Trajectory
-from roughmap.workspace import Planes, ThreadScratch, Workspace
+from roughmap.tiles import loading
+from roughmap.tiles.digest import map_digest
+from roughmap.tiles.eviction import Eviction
+from roughmap.tiles.index import TileBox, TileVersions, paired
+from roughmap.tiles.shelf import Shelf
+from roughmap.tiles.table import Hold, TileTable
 
 
 class RoughMap:

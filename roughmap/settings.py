@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from roughmap.footprint import ERROR_MODELS
+from roughmap.points.footprint import ERROR_MODELS
 
 _MAX_SIDE = 512
 """Most cells across an error body; beyond it one point would cost as much as a scan."""

@@ -27,7 +27,7 @@ from mcap.stream_reader import StreamReader
 from net import WAIT_S, Gathered, peer_config, wait_for
 
 from roughmap_client import QueryRefused, RoughMapClient
-from roughmap_client.asking import ask
+from roughmap_client.session import ask
 from roughmap_schemas import (
     Event,
     IntegrationEvent,

@@ -15,12 +15,12 @@ from roughmap import RoughMap
 from roughmap_schemas.config import Config, configuration_digest
 from roughmap_schemas.keys import Keys
 from roughmap_schemas.messages import MapStatus, QueryRecord
-from roughmap_service.answers import Answers
-from roughmap_service.counters import Counters
-from roughmap_service.emptied import Emptied
-from roughmap_service.status import Progress, Status
-from roughmap_service.tile_reply import Identity
-from roughmap_service.view import View
+from roughmap_service.answers.emptied import Emptied
+from roughmap_service.answers.queryables import Answers
+from roughmap_service.answers.tile_reply import Identity
+from roughmap_service.host.counters import Counters
+from roughmap_service.run.view import View
+from roughmap_service.watch.status import Progress, Status
 
 T0 = 1_700_000_000 * 10**9
 INSTANCE = "0123456789abcdef" * 2

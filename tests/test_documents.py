@@ -7,13 +7,18 @@ import pytest
 import yaml
 
 from roughmap import CELL_DTYPE
-from roughmap.memory import SLOT_BYTES
+from roughmap.tiles.slots import SLOT_BYTES
 from roughmap_client.client import AGAIN_MOST_S
 from roughmap_schemas import Config
 from roughmap_schemas.layers import LAYERS
-from roughmap_service import answers, counters, disk, ending, log_writer, memory, readiness, snapshots
+from roughmap_service.answers import queryables as answers
 from roughmap_service.cli.health import WORKS
 from roughmap_service.cli.serve import SWITCH_SECONDS
+from roughmap_service.host import counters, disk, ending
+from roughmap_service.journal import writer as log_writer
+from roughmap_service.store import memory_limit as memory
+from roughmap_service.store import snapshots
+from roughmap_service.watch import readiness
 
 ROOT = Path(__file__).resolve().parents[1]
 DEFAULT = Config()

@@ -13,14 +13,7 @@ from roughmap_schemas.events import (
     decode_event,
     encode_event,
 )
-from roughmap_schemas.faults import (
-    ConfigFault,
-    ContractError,
-    Fault,
-    MessageFault,
-    QueryFault,
-    UnknownEventKind,
-)
+from roughmap_schemas.faults import ConfigFault, ContractError, Fault, MessageFault, QueryFault, UnknownEventKind
 from roughmap_schemas.grid import Grid, decode_grid, encode_grid
 from roughmap_schemas.keys import Keys
 from roughmap_schemas.layers import LAYERS, LIMIT_NAMES
@@ -40,15 +33,7 @@ from roughmap_schemas.messages import (
     parse_model,
 )
 from roughmap_schemas.odometry import Odometry, decode_odometry, encode_odometry
-from roughmap_schemas.reasons import (
-    INTEGRATED,
-    CloudReason,
-    PointReason,
-    PoseReason,
-    QueryCode,
-    Reason,
-    Refusal,
-)
+from roughmap_schemas.reasons import INTEGRATED, CloudReason, PointReason, PoseReason, QueryCode, Reason, Refusal
 from roughmap_schemas.run_metadata import RunMetadata
 from roughmap_schemas.sections import SensorConfig
 from roughmap_schemas.selectors import CellsQuery, RegionQuery, TileQuery

@@ -1,6 +1,5 @@
 """roughmap for planners: ask a service for its map, and feed it, over Zenoh."""
 
-from roughmap_client.answers import Cells, Changes, Layers, Region, Tile, Version
 from roughmap_client.client import RoughMapClient
 from roughmap_client.errors import (
     BadArgument,
@@ -11,6 +10,7 @@ from roughmap_client.errors import (
     RoughMapError,
     UnreadableAnswer,
 )
+from roughmap_client.results import Cells, Changes, Layers, Region, Tile, Version
 from roughmap_client.watching import Watch
 
 __all__ = [

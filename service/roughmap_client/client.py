@@ -13,21 +13,12 @@ import numpy as np
 import numpy.typing as npt
 import zenoh
 
-from roughmap_client.answers import Cells, Changes, Region, Tile, Version
-from roughmap_client.asking import Answer, ask, open_session
 from roughmap_client.errors import BadArgument, NoAnswer, QueryRefused, RoughMapError
-from roughmap_client.reading import read_cells, read_model, read_region, read_tiles, read_update
+from roughmap_client.replies import read_cells, read_model, read_region, read_tiles, read_update
+from roughmap_client.results import Cells, Changes, Region, Tile, Version
+from roughmap_client.session import Answer, ask, open_session
 from roughmap_client.watching import Watch
-from roughmap_schemas import (
-    CellsQuery,
-    ConfigFault,
-    Keys,
-    MapStatus,
-    Receipt,
-    RegionQuery,
-    TileQuery,
-    encodings,
-)
+from roughmap_schemas import CellsQuery, ConfigFault, Keys, MapStatus, Receipt, RegionQuery, TileQuery, encodings
 from roughmap_schemas.keys import NAME, NAME_WORDS
 
 T = TypeVar("T")

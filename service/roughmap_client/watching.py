@@ -8,8 +8,8 @@ from typing import Self
 
 import zenoh
 
-from roughmap_client.answers import Tile
 from roughmap_client.errors import NoAnswer, RoughMapError, in_short
+from roughmap_client.results import Tile
 
 log = logging.getLogger(__name__)
 

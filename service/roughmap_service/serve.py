@@ -12,45 +12,46 @@ from typing import Any
 
 import zenoh
 
-from roughmap_schemas import (
-    Config,
-    Keys,
-    QueryRecord,
-    RunMetadata,
-    configuration_digest,
-    model_bytes,
-)
+from roughmap_schemas import Config, Keys, QueryRecord, RunMetadata, configuration_digest, model_bytes
 from roughmap_schemas.config_load import LoadedConfig
 from roughmap_schemas.encodings import json_encoding
+from roughmap_schemas.kinds import Kind
 from roughmap_schemas.messages import LogState
-
-from .answers import Answers
-from .control import Control
-from .counters import Counters
-from .emptied import Emptied
-from .ending import Ending
-from .http_server import HttpServer
-from .ingest import Replies
-from .intake import Intake, ZenohInputs
-from .locks import locked
-from .log_file import Kind, LogRecord
-from .log_writer import LogWriter
-from .logs import note
-from .memory import Memory, keep_freed
-from .readiness import Readiness, Sources
-from .recovery import Progress as RecoveryProgress
-from .recovery import Recovered, Stopped, begin_anew, put_away, recover
-from .sequencer import Intervals, Sequencer
-from .snapshots import Snapshots, cut_of
-from .spill import Spill
-from .status import Progress, Status, StatusPublisher
-from .store import Store
-from .tile_reply import Identity
-from .transport import bound_messages, check_exposure, claim, endpoints, open_session, zenoh_config
-from .updates import Updates
-from .view import View
-from .warmup import warm_up
-from .watched import Parts, show
+from roughmap_service.answers.emptied import Emptied
+from roughmap_service.answers.queryables import Answers
+from roughmap_service.answers.tile_reply import Identity
+from roughmap_service.answers.updates import Updates
+from roughmap_service.engine.control import Control
+from roughmap_service.engine.recovery import Progress as RecoveryProgress
+from roughmap_service.engine.recovery import Recovered, Stopped, begin_anew, put_away, recover
+from roughmap_service.engine.sequencer import Intervals, Sequencer
+from roughmap_service.engine.warmup import warm_up
+from roughmap_service.host.counters import Counters
+from roughmap_service.host.ending import Ending
+from roughmap_service.host.locks import locked
+from roughmap_service.host.log_lines import note
+from roughmap_service.http.server import HttpServer
+from roughmap_service.inputs.queue import Intake
+from roughmap_service.inputs.receipts import Replies
+from roughmap_service.inputs.session import (
+    bound_messages,
+    check_exposure,
+    claim,
+    endpoints,
+    open_session,
+    zenoh_config,
+)
+from roughmap_service.inputs.subscriptions import ZenohInputs
+from roughmap_service.journal.file import LogRecord
+from roughmap_service.journal.writer import LogWriter
+from roughmap_service.run.view import View
+from roughmap_service.store.map_db import Store
+from roughmap_service.store.memory_limit import Memory, keep_freed
+from roughmap_service.store.snapshots import Snapshots, cut_of
+from roughmap_service.store.spill import Spill
+from roughmap_service.watch.readiness import Readiness, Sources
+from roughmap_service.watch.status import Progress, Status, StatusPublisher
+from roughmap_service.watch.watched import Parts, show
 
 log = logging.getLogger(__name__)
 
@@ -91,7 +92,7 @@ def serve(
     bound_messages(session_config, config.input.max_message)
     check_exposure(session_config, loaded, insecure=insecure)
     with ExitStack() as stack:
-        stack.enter_context(locked(directory, store))
+        stack.enter_context(locked(directory, None if store is None else store.path))
         sources = Sources(Readiness(), config.map.name)
         if config.http.listen is not None:
             sources.url = stack.enter_context(HttpServer(config.http, sources, insecure=insecure)).url

@@ -6,7 +6,7 @@ import pytest
 from net import WAIT_S, wait_for
 
 from roughmap_schemas import QueryFault
-from roughmap_service.answer_queue import CELLS_A_PLACE, SMALL_CELLS, AnswerQueue
+from roughmap_service.answers.queue import CELLS_A_PLACE, SMALL_CELLS, AnswerQueue
 
 
 class Jobs:

@@ -11,7 +11,7 @@ from net import WAIT_S
 from served import T0, Served
 
 from roughmap import RoughMap
-from roughmap_service.view import View
+from roughmap_service.run.view import View
 
 SCAN = 40
 FIRST = 5 * 1500

@@ -13,8 +13,8 @@ from net import Gathered
 from served import INSTANCE, Served
 
 from roughmap_schemas import MapStatus
-from roughmap_service.status import StatusPublisher
-from roughmap_service.updates import Updates
+from roughmap_service.answers.updates import Updates
+from roughmap_service.watch.status import StatusPublisher
 
 
 def test_the_status_is_published_once_a_second() -> None:

@@ -7,7 +7,7 @@ import pytest
 from net import WAIT_S, wait_for
 
 from roughmap_schemas import QueryFault
-from roughmap_service.answer_queue import SMALL_CELLS, AnswerQueue
+from roughmap_service.answers.queue import SMALL_CELLS, AnswerQueue
 
 
 def never(fault: QueryFault) -> None:

@@ -7,11 +7,11 @@ from served import INSTANCE, RUN, T0, S, filled, some_points
 
 from roughmap_schemas import Config, Keys
 from roughmap_schemas.messages import TileInfo, parse_model
-from roughmap_service.emptied import Emptied
-from roughmap_service.reading import Reader
-from roughmap_service.tile_cache import ENTRY_BYTES, DrawnTile, TileCache, drawn_tile
-from roughmap_service.tile_reply import Identity
-from roughmap_service.view import View
+from roughmap_service.answers.emptied import Emptied
+from roughmap_service.answers.tile_cache import ENTRY_BYTES, DrawnTile, TileCache, drawn_tile
+from roughmap_service.answers.tile_reply import Identity
+from roughmap_service.answers.tiles import Reader
+from roughmap_service.run.view import View
 
 
 def drawn(size: int) -> DrawnTile:

@@ -11,8 +11,8 @@ from net import Gathered
 from served import Served, some_points
 
 from roughmap_schemas.messages import UpdateRecord, parse_model
-from roughmap_service import updates
-from roughmap_service.updates import Updates
+from roughmap_service.answers import updates
+from roughmap_service.answers.updates import Updates
 
 
 def layers_of(served: Served, tile: RawTile) -> bool:

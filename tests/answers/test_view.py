@@ -9,10 +9,10 @@ from net import WAIT_S, wait_for
 from served import INSTANCE, RUN, T0, S, filled, some_points
 
 from roughmap_schemas import Config, Keys
-from roughmap_service.emptied import Emptied
-from roughmap_service.reading import Plan, Reader
-from roughmap_service.tile_reply import Identity
-from roughmap_service.view import View
+from roughmap_service.answers.emptied import Emptied
+from roughmap_service.answers.tile_reply import Identity
+from roughmap_service.answers.tiles import Plan, Reader
+from roughmap_service.run.view import View
 
 CONFIG = Config.model_validate({"map": {"name": "site"}})
 TILES = "maps/site/tiles/0/*/*"

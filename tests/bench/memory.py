@@ -20,8 +20,8 @@ import numpy as np
 from scans import CELL_SIZE, NOISE, SCANS, Drive, Recording, recorded, still
 
 from roughmap import RoughMap
-from roughmap_service.memory import Memory, memory_bytes
-from roughmap_service.spill import Spill
+from roughmap_service.store.memory_limit import Memory, memory_bytes
+from roughmap_service.store.spill import Spill
 
 LAP_M = 9.0
 """A lap is the recorded drive; the next one begins where it ends."""

@@ -12,7 +12,7 @@ from figures import Bench, Mark, Row, latency_row, rounds_row
 from scans import CELL_SIZE, SCANS, recorded
 from serving import MAP, Sender, drive, fill, open_session, served
 
-from roughmap.terrain import derive
+from roughmap.reading.terrain import derive
 
 LAYERS = "layers=mean_height,range"
 SITES = [(x, y) for x, y in product((-52.0, -26.0, 0.0, 26.0, 52.0), repeat=2)]

@@ -11,8 +11,8 @@ from serving import configuration, served
 
 from roughmap_schemas.config import configuration_digest
 from roughmap_schemas.config_load import load_config
-from roughmap_service.settings import new_map
-from roughmap_service.store import Store
+from roughmap_service.run.settings import new_map
+from roughmap_service.store.map_db import Store
 
 ROUNDS = 5
 TILES = 20_000

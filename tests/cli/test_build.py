@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from roughmap import Noise, RoughMap, Scan, Trajectory
 from roughmap_service.cli.main import run
-from roughmap_service.store import Store
+from roughmap_service.store.map_db import Store
 
 RNG = np.random.default_rng(4)
 POSE_SIGMA = (0.05, 0.05, 0.05, 0.01, 0.01, 0.01)

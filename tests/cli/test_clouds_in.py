@@ -7,9 +7,9 @@ import pytest
 
 from roughmap_schemas.cloud import decode_cloud
 from roughmap_schemas.odometry import decode_odometry
-from roughmap_service import clouds_in
-from roughmap_service.clouds_in import CloudFileFault, PlacedPoints, RecordedScan, read_cloud, read_scans
-from roughmap_service.rover_play import recorded_messages
+from roughmap_service.formats import clouds_in
+from roughmap_service.formats.clouds_in import CloudFileFault, PlacedPoints, RecordedScan, read_cloud, read_scans
+from roughmap_service.simulation.playing import recorded_messages
 
 
 def write(folder: Path, **arrays: object) -> Path:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from roughmap_schemas.messages import MapStatus
-from roughmap_service.cli.demo_run import differences
+from roughmap_service.cli.demo.steps import differences
 from roughmap_service.cli.main import run
 
 PICTURES = ["height.png", "confidence.png", "traversability.png"]

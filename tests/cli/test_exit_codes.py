@@ -20,7 +20,10 @@ CODES = {
     "HttpError": 2,
     "PortTaken": 1,
 }
-MODULES = ("log_reader", "store", "recovery", "replay", "clouds_in", "apply", "transport", "http_token", "http_server")
+MODULES = (
+    "journal.reader", "store.map_db", "engine.recovery", "offline.replay", "formats.clouds_in", "run.apply",
+    "inputs.session", "http.token", "http.server",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(("module", "name", "_code"), main._LATE)

@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from roughmap_schemas.cloud import decode_cloud
 from roughmap_schemas.odometry import decode_odometry
-from roughmap_service.rover import MOUNT, POSE_SIGMA, Message, Rover, rovers
-from roughmap_service.rover_ground import PERIOD, SPACING, Ground
-from roughmap_service.rover_publish import merged
-from roughmap_service.rover_scanner import Scanner
+from roughmap_service.simulation.ground import PERIOD, SPACING, Ground
+from roughmap_service.simulation.publishing import merged
+from roughmap_service.simulation.rover import MOUNT, POSE_SIGMA, Message, Rover, rovers
+from roughmap_service.simulation.scanner import Scanner
 
 START_NS = 1_700_000_000_000_000_000
 SMALL = Scanner(rings=16, columns=64)

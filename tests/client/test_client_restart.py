@@ -11,7 +11,7 @@ from net import WAIT_S, Gathered, locators, peer_config
 from served import Served
 
 from roughmap_client import NoAnswer, RoughMapClient, RoughMapError, Tile
-from roughmap_service.updates import Updates
+from roughmap_service.answers.updates import Updates
 
 BOX = (-1.0, -1.0, 1.0, 1.0)
 

@@ -14,7 +14,7 @@ from served import Served
 from roughmap_client import RoughMapClient, RoughMapError, Tile, UnreadableAnswer
 from roughmap_schemas import TileInfo, model_bytes
 from roughmap_schemas.encodings import GRID
-from roughmap_service.updates import Updates
+from roughmap_service.answers.updates import Updates
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import yaml
 import zenoh
 
 from roughmap_schemas.config_load import load_config
-from roughmap_service.transport import endpoints
+from roughmap_service.inputs.session import endpoints
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCKER = ROOT / "docker"

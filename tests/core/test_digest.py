@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from strategies import MODELS, cells_of, clouds
 
 from roughmap import CELL_DTYPE, RoughMap
-from roughmap.digest import map_digest
+from roughmap.tiles.digest import map_digest
 
 FIELDS = ("count", "updated", "weight", "weight_sq", "mean", "m2", "min", "max", "inv_cf")
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from strategies import MODELS, WEIGHTED, cell_boxes, cells_of
 
 from roughmap import RoughMap
-from roughmap.workspace import Workspace
+from roughmap.integration.workspace import Workspace
 
 TOP, BOTTOM = 2.0**31, -(2.0**31)
 SMALL = np.eye(3) * 1e-6

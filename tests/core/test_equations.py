@@ -7,7 +7,7 @@ import pytest
 from strategies import cells_of
 
 from roughmap import Noise, RoughMap, Scan, Trajectory, georeference
-from roughmap.batch import BatchMap
+from roughmap.reference.batch import BatchMap
 
 HEIGHTS = (1.0, 2.0, 6.0)
 """Sum 9, mean 3, squares of the differences to it 4 + 1 + 9 = 14."""

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roughmap import RoughMap, tiles
-from roughmap.index import LevelIndex
-from roughmap.memory import SLAB_SLOTS, SlotPool
+from roughmap import RoughMap
+from roughmap.tiles import table as tiles
+from roughmap.tiles.index import LevelIndex
+from roughmap.tiles.slots import SLAB_SLOTS, SlotPool
 
 TILE = st.tuples(st.integers(-(2**25), 2**25 - 1), st.integers(-3, 3))
 

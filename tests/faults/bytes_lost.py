@@ -13,8 +13,9 @@ from report import Trial
 from service_tools import WAIT_S, Run, config, inputs_of
 
 from roughmap import RoughMap
-from roughmap_service.log_file import Kind
-from roughmap_service.log_reader import (
+from roughmap_schemas.kinds import Kind
+from roughmap_service.engine.recovery import recover
+from roughmap_service.journal.reader import (
     DamagedLog,
     FileStart,
     LogError,
@@ -25,9 +26,8 @@ from roughmap_service.log_reader import (
     raw_records,
     read_run,
 )
-from roughmap_service.log_repair import repair
-from roughmap_service.recovery import recover
-from roughmap_service.store import Store, StoreError
+from roughmap_service.journal.repair import repair
+from roughmap_service.store.map_db import Store, StoreError
 
 LAST = 64 * 1024
 """Bytes of the log's end at every one of which it is cut."""

@@ -17,7 +17,7 @@ from report import Trial
 from shim import Shim
 
 from roughmap_client import QueryRefused, RoughMapClient
-from roughmap_client.asking import ask
+from roughmap_client.session import ask
 from roughmap_schemas import encode_odometry
 
 FAULTS: tuple[tuple[str, tuple[str, ...], int, str], ...] = (

@@ -8,9 +8,9 @@ from pathlib import Path
 from report import Trial
 from service_tools import Run, config
 
-from roughmap_service.log_reader import LogError, find_files
-from roughmap_service.recovery import recover
-from roughmap_service.store import Store
+from roughmap_service.engine.recovery import recover
+from roughmap_service.journal.reader import LogError, find_files
+from roughmap_service.store.map_db import Store
 
 
 def odd_stores(trial: Trial, folder: Path, rng: random.Random, number: int) -> None:

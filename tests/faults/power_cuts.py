@@ -13,8 +13,8 @@ from service_tools import inputs_of, read_back
 from shim import Shim
 
 from roughmap_schemas import Config
-from roughmap_service.recovery import recover
-from roughmap_service.store import Store
+from roughmap_service.engine.recovery import recover
+from roughmap_service.store.map_db import Store
 
 CUTS_OF_ONE = 20
 """Cuts of one run: what its kill left decides what they can find."""

@@ -16,8 +16,8 @@ from mcap.stream_reader import StreamReader
 from service_tools import WAIT_S, Run, config, inputs_of, read_back
 from shim import Shim
 
-from roughmap_service.disk import make_directory
-from roughmap_service.recovery import recover
+from roughmap_service.engine.recovery import recover
+from roughmap_service.host.disk import make_directory
 
 DIES = 9
 CUTS = 60

@@ -13,9 +13,9 @@ from service_tools import WAIT_S, Run, config, inputs_of, read_back
 from shim import Shim
 from test_closed_unsynced import DIES, journal_of
 
-from roughmap_service.disk import make_directory
-from roughmap_service.recovery import recover
-from roughmap_service.store import Store
+from roughmap_service.engine.recovery import recover
+from roughmap_service.host.disk import make_directory
+from roughmap_service.store.map_db import Store
 
 
 class Worst(random.Random):

@@ -12,8 +12,8 @@ import xxhash
 
 from roughmap_schemas import ConfigFault, config_from
 from roughmap_schemas.config_load import load_config
-from roughmap_service.clouds_in import CloudFileFault, PlacedPoints, read_cloud
-from roughmap_service.log_reader import (
+from roughmap_service.formats.clouds_in import CloudFileFault, PlacedPoints, read_cloud
+from roughmap_service.journal.reader import (
     LogError,
     find_files,
     is_closed,
@@ -23,9 +23,9 @@ from roughmap_service.log_reader import (
     read_file,
     read_run,
 )
-from roughmap_service.log_repair import repair
-from roughmap_service.store import TILE_BYTES, Store, StoreError, tile_checksum
-from roughmap_service.stored_tiles import read_index
+from roughmap_service.journal.repair import repair
+from roughmap_service.store.map_db import TILE_BYTES, Store, StoreError, tile_checksum
+from roughmap_service.store.stored_tiles import read_index
 
 
 @cache

@@ -32,7 +32,7 @@ from roughmap_schemas import (
     model_bytes,
 )
 from roughmap_schemas.grid import encode_grid
-from roughmap_service.store import SCHEMA, TILE_BYTES, _checksum, tile_checksum
+from roughmap_service.store.map_db import SCHEMA, TILE_BYTES, _checksum, tile_checksum
 
 T0 = 1_700_000_000 * 10**9
 LEVEL = (0.0, 0.0, 0.0, 1.0)

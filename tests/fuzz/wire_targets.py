@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from roughmap_client.asking import Answer, Part
 from roughmap_client.errors import RoughMapError
-from roughmap_client.reading import read_cells, read_model, read_region, read_tiles
+from roughmap_client.replies import read_cells, read_model, read_region, read_tiles
+from roughmap_client.session import Answer, Part
 from roughmap_schemas import (
     BadJson,
     CellAnswer,

@@ -17,10 +17,10 @@ from mcap.records import Chunk, Header, Metadata
 from roughmap_schemas import Config, MessageFault, RunMetadata, decode_cloud, decode_grid
 from roughmap_schemas.grid import DATA_TAG, encode_grid
 from roughmap_schemas.wire import write_varint
-from roughmap_service.clouds_in import CloudFileFault, read_cloud
-from roughmap_service.log_reader import MAGIC, DamagedLog, LogError, TornLog, raw_records
-from roughmap_service.log_repair import repair
-from roughmap_service.store import DamagedStore, Store
+from roughmap_service.formats.clouds_in import CloudFileFault, read_cloud
+from roughmap_service.journal.reader import MAGIC, DamagedLog, LogError, TornLog, raw_records
+from roughmap_service.journal.repair import repair
+from roughmap_service.store.map_db import DamagedStore, Store
 
 MIB = 1 << 20
 BOMB = 256 * MIB

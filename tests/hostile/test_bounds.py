@@ -5,13 +5,13 @@ from pathlib import Path
 from net import WAIT_S
 from processes import LEVEL, T0, Service, connected, read_log, running
 
-from roughmap_client.asking import ask
+from roughmap_client.session import ask
 from roughmap_schemas import QueryError, encode_odometry
+from roughmap_schemas.kinds import Kind
 from roughmap_schemas.layers import LAYERS
-from roughmap_service.counters import Counters
-from roughmap_service.ingest import Duplicates
-from roughmap_service.intake import InputMessage, Intake
-from roughmap_service.log_file import Kind
+from roughmap_service.host.counters import Counters
+from roughmap_service.inputs.queue import InputMessage, Intake
+from roughmap_service.run.duplicates import Duplicates
 
 S = 10**9
 MIB = 1 << 20

@@ -13,7 +13,7 @@ import pytest
 from net import WAIT_S
 from processes import GROUND, T0, Feed, Service, running
 
-from roughmap_client.asking import ask
+from roughmap_client.session import ask
 from roughmap_schemas import MapStatus, QueryError, encode_cloud, encode_odometry
 from roughmap_schemas.wire import write_varint
 

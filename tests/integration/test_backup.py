@@ -7,7 +7,7 @@ from pathlib import Path
 from net import WAIT_S
 from processes import GROUND, T0, Feed, Service, connected, environment, replay
 
-from roughmap_client.asking import ask
+from roughmap_client.session import ask
 from roughmap_schemas import CheckpointEvent, encode_cloud
 
 OPERATIONS = (Path(__file__).resolve().parents[2] / "OPERATIONS.md").read_text(encoding="utf-8")

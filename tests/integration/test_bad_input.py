@@ -10,7 +10,7 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from processes import GROUND, LEVEL, PRECISE, T0, Feed, Service, inputs_in, read_log, running
 
 from roughmap_client import QueryRefused
-from roughmap_client.asking import ask
+from roughmap_client.session import ask
 from roughmap_schemas import QueryError, encode_cloud, encode_odometry, encode_transform
 
 S = 10**9

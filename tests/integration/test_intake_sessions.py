@@ -10,12 +10,13 @@ import zenoh
 from net import open_pair, wait_for
 
 from roughmap_client import QueryRefused
-from roughmap_client.asking import ask
+from roughmap_client.session import ask
 from roughmap_schemas import Keys
-from roughmap_service import intake
-from roughmap_service.counters import Counters
-from roughmap_service.ingest import Replies
-from roughmap_service.intake import Intake, ZenohInputs
+from roughmap_service.host.counters import Counters
+from roughmap_service.inputs import queue as intake
+from roughmap_service.inputs.queue import Intake
+from roughmap_service.inputs.receipts import Replies
+from roughmap_service.inputs.subscriptions import ZenohInputs
 
 LIMIT = 1000
 """Bytes of clouds that may be queued here."""
@@ -96,7 +97,7 @@ def test_who_floods_poses_drops_its_own(door: Door) -> None:
 
 def test_of_a_flood_each_robot_gets_its_share_taken(door: Door, monkeypatch: pytest.MonkeyPatch) -> None:
     """And the time up to which all was heard is that of what is left."""
-    monkeypatch.setattr("roughmap_service.intake.TURN_MESSAGES", 4)
+    monkeypatch.setattr("roughmap_service.inputs.queue.TURN_MESSAGES", 4)
     for mark in range(1, 7):
         door.put("odometry", "loud", 10, mark)
     for mark in (7, 8):

@@ -12,9 +12,9 @@ from net import Gathered
 from processes import GROUND, T0, Feed, Service, connected, events_in, replay, running
 
 from roughmap_client import QueryRefused, Tile
-from roughmap_client.asking import ask
+from roughmap_client.session import ask
 from roughmap_schemas import ControlAnswer, MapStatus, ResetEvent
-from roughmap_service.store import Store
+from roughmap_service.store.map_db import Store
 
 S = 10**9
 

@@ -9,7 +9,7 @@ import pytest
 from processes import GROUND, T0, Feed, Service, connected, events_in, replay
 
 from roughmap_schemas import CheckpointEvent, IntegrationEvent
-from roughmap_service.store import Store
+from roughmap_service.store.map_db import Store
 
 S = 10**9
 

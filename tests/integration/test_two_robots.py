@@ -110,7 +110,7 @@ def test_replay_comes_to_the_same_digest(drive: Drive) -> None:
 
 
 def test_the_tiles_that_were_served_are_those_of_the_replay(drive: Drive, tmp_path: Path) -> None:
-    from roughmap_service.store import Store
+    from roughmap_service.store.map_db import Store
 
     code, _ = replay(drive.log, "-o", tmp_path / "map.db")
     assert code == 0

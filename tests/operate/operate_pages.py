@@ -12,8 +12,8 @@ from urllib.parse import urlsplit
 from net import WAIT_S
 
 from roughmap_schemas.sections import HttpConfig
-from roughmap_service.http_server import HttpServer
-from roughmap_service.readiness import Readiness, Sources
+from roughmap_service.http.server import HttpServer
+from roughmap_service.watch.readiness import Readiness, Sources
 
 
 @contextmanager

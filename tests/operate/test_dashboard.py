@@ -20,8 +20,8 @@ from operate_pages import address, get, pages, wait_until
 from served import Served
 
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, QueryCode, Refusal
-from roughmap_service.metrics import Depths, Disk, Metrics
-from roughmap_service.readiness import Problem, Readiness, Sources
+from roughmap_service.watch.metrics import Depths, Disk, Metrics
+from roughmap_service.watch.readiness import Problem, Readiness, Sources
 
 DOCKER = Path(__file__).parents[2] / "docker"
 DASHBOARD = DOCKER / "grafana-dashboard.json"

@@ -12,11 +12,11 @@ from operate_pages import address, pages
 from roughmap_schemas.config import Config
 from roughmap_schemas.config_load import load_config
 from roughmap_schemas.sections import HttpConfig
-from roughmap_service.cli import doctor_machine
-from roughmap_service.cli.doctor_certificates import certificates, validity
-from roughmap_service.cli.doctor_findings import Finding
-from roughmap_service.cli.doctor_security import http_access, zenoh_access
-from roughmap_service.readiness import Readiness, Sources
+from roughmap_service.cli.doctor import machine as doctor_machine
+from roughmap_service.cli.doctor.certificates import certificates, validity
+from roughmap_service.cli.doctor.findings import Finding
+from roughmap_service.cli.doctor.security import http_access, zenoh_access
+from roughmap_service.watch.readiness import Readiness, Sources
 
 NOW = datetime(2030, 6, 1, tzinfo=UTC)
 DAY = timedelta(days=1)

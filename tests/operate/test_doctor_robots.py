@@ -16,16 +16,16 @@ from operate_pages import address, pages
 
 from roughmap_schemas import encode_cloud, encode_odometry, encode_transform
 from roughmap_schemas.config import Config
-from roughmap_service.cli import doctor_robots
-from roughmap_service.cli.doctor_findings import Finding
-from roughmap_service.cli.doctor_robots import judge
-from roughmap_service.cli.doctor_traffic import Traffic
+from roughmap_schemas.kinds import Kind
+from roughmap_service.cli.doctor import robots as doctor_robots
+from roughmap_service.cli.doctor.findings import Finding
+from roughmap_service.cli.doctor.robots import judge
+from roughmap_service.cli.doctor.traffic import Traffic
 from roughmap_service.cli.main import run
-from roughmap_service.intake import ENCODINGS
-from roughmap_service.log_file import Kind
-from roughmap_service.readiness import Readiness, Sources
-from roughmap_service.settings import Settings
-from roughmap_service.transport import endpoints
+from roughmap_service.inputs.session import endpoints
+from roughmap_service.inputs.subscriptions import ENCODINGS
+from roughmap_service.run.settings import Settings
+from roughmap_service.watch.readiness import Readiness, Sources
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 POINTS = np.ones((10, 3), np.float32)

@@ -12,8 +12,8 @@ from served import Served
 
 from roughmap_schemas.messages import LogState
 from roughmap_service.cli.main import run
-from roughmap_service.readiness import Problem, Readiness, Sources, health_of, running_problems
-from roughmap_service.status import Progress
+from roughmap_service.watch.readiness import Problem, Readiness, Sources, health_of, running_problems
+from roughmap_service.watch.status import Progress
 
 TOKEN = "the token of this page"
 

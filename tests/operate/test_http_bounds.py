@@ -3,8 +3,8 @@
 import pytest
 from operate_pages import get, open_raw, pages, rest
 
-from roughmap_service import http_limits
-from roughmap_service.readiness import Readiness, Sources
+from roughmap_service.http import limits as http_limits
+from roughmap_service.watch.readiness import Readiness, Sources
 
 
 @pytest.mark.parametrize(

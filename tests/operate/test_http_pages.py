@@ -9,8 +9,8 @@ import pytest
 from operate_pages import address, get, pages
 
 from roughmap_schemas.sections import HttpConfig
-from roughmap_service.http_server import HttpError, HttpServer, PortTaken
-from roughmap_service.readiness import Problem, Readiness, Sources
+from roughmap_service.http.server import HttpError, HttpServer, PortTaken
+from roughmap_service.watch.readiness import Problem, Readiness, Sources
 
 TOKEN = "a token of twenty-four"
 

@@ -8,7 +8,7 @@ import pytest
 from roughmap_schemas.config_load import load_config
 from roughmap_schemas.faults import ConfigFault
 from roughmap_service.cli.main import run
-from roughmap_service.http_token import token_of
+from roughmap_service.http.token import token_of
 
 TOKEN = "[never shown"
 VARIABLE = "ROUGHMAP_HTTP__TOKEN"

@@ -10,11 +10,20 @@ import pytest
 
 from roughmap_schemas import MessageFault
 from roughmap_schemas.messages import MapStatus
-from roughmap_service import intake
-from roughmap_service.counters import OTHERS, REFUSED_ROBOTS, Counters
-from roughmap_service.intake import refuse
-from roughmap_service.logs import MAX_KINDS, REPEAT_SECONDS, REPEATS, JsonFormatter, Lines, TextFormatter, note, set_up
-from roughmap_service.status import Overload
+from roughmap_service.host.counters import OTHERS, REFUSED_ROBOTS, Counters
+from roughmap_service.host.log_lines import (
+    MAX_KINDS,
+    REPEAT_SECONDS,
+    REPEATS,
+    JsonFormatter,
+    Lines,
+    TextFormatter,
+    note,
+    set_up,
+)
+from roughmap_service.inputs import queue as intake
+from roughmap_service.inputs.subscriptions import refuse
+from roughmap_service.watch.status import Overload
 
 
 class Clock:

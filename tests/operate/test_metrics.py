@@ -10,10 +10,9 @@ from served import Served, some_points
 
 from roughmap_schemas.messages import MapStatus
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
-from roughmap_service.counters import BOUNDS, OTHERS, Counters
-from roughmap_service.metrics import Depths, Disk, Metrics
-from roughmap_service.readiness import Problem
-from roughmap_service.settings import MAX_ROBOTS
+from roughmap_service.host.counters import BOUNDS, MAX_ROBOTS, OTHERS, Counters
+from roughmap_service.watch.metrics import Depths, Disk, Metrics
+from roughmap_service.watch.readiness import Problem
 
 Samples = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
@@ -135,7 +134,7 @@ def test_a_copy_of_the_counters_stays_as_it_was() -> None:
 def test_an_overload_ends_when_none_was_dropped_for_a_while_and_none_came_late(monkeypatch: pytest.MonkeyPatch) -> None:
     """A cloud is late that waited for longer than its poses may take (half a second here) and one second more."""
     clock = [0.0]
-    monkeypatch.setattr("roughmap_service.counters.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr("roughmap_service.host.counters.time", SimpleNamespace(monotonic=lambda: clock[0]))
     counters = Counters(max_wait=0.5)
 
     def after(seconds: float, waited: float | None = None) -> bool:

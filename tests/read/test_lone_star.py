@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from test_running_against_batch import compare
 
-from roughmap.batch import BatchMap
-from roughmap.footprint import ERROR_MODELS
 from roughmap.map import RoughMap
+from roughmap.points.footprint import ERROR_MODELS
+from roughmap.reference.batch import BatchMap
 
 SURVEY = Path(__file__).parents[3] / "shared" / "data" / "lone-star.laz"
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from roughmap.batch import BatchMap
-from roughmap.batch_shares import cells_of_bodies
+from roughmap.reference.batch import BatchMap
+from roughmap.reference.batch_shares import cells_of_bodies
 
 POINTS = np.array([(0.57, -0.22, 10.00), (0.56, -0.24, 10.03), (0.61, -0.25, 9.98)])
 ROUND = np.array([[4.0, 1.0, 0.0], [1.0, 9.0, 0.0], [0.0, 0.0, 1.0]]) * 1e-4

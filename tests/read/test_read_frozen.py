@@ -7,11 +7,11 @@ import pytest
 import xxhash
 from read_tools import TILE_SHAPE, chance_tile
 
-from roughmap import levels
 from roughmap.cell import CELL_DTYPE
-from roughmap.layers import CELL_LAYERS, LAYERS, cell_layers
 from roughmap.map import RoughMap
-from roughmap.merge_cache import MergeCache
+from roughmap.reading import levels
+from roughmap.reading.layers import CELL_LAYERS, LAYERS, cell_layers
+from roughmap.reading.merge_cache import MergeCache
 
 SIDE = 0.25
 

@@ -8,14 +8,7 @@ import pytest
 from read_tools import cell_of
 
 from roughmap.cell import CELL_DTYPE
-from roughmap.layers import (
-    CELL_LAYERS,
-    LAYERS,
-    cell_layers,
-    check_limits,
-    check_names,
-    check_tolerance,
-)
+from roughmap.reading.layers import CELL_LAYERS, LAYERS, cell_layers, check_limits, check_names, check_tolerance
 
 UNKNOWN = np.zeros((), dtype=CELL_DTYPE)
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from read_tools import TILE_SHAPE, cell_of, chance_tile, over_cells, tile_of
 
 from roughmap.cell import CELL_DTYPE
-from roughmap.levels import merge
 from roughmap.map import RoughMap
+from roughmap.reading.levels import merge
 
 CHILDREN = ((0, 0), (1, 0), (0, 1), (1, 1))
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roughmap.layers import LAYERS
 from roughmap.map import RoughMap
-from roughmap.region import MAX_CELLS, cell_box, read_region
+from roughmap.reading.layers import LAYERS
+from roughmap.reading.region import MAX_CELLS, cell_box, read_region
 
 
 def test_an_edge_that_is_meant_to_lie_on_a_border_does() -> None:

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from roughmap.layers import check_limits
-from roughmap.terrain import coarsen_least, derive
+from roughmap.reading.layers import check_limits
+from roughmap.reading.terrain import coarsen_least, derive
 
 SIDE = 0.5
 

@@ -6,10 +6,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from read_tools import over_cells
 
-from roughmap.batch import BatchMap
-from roughmap.footprint import ERROR_MODELS
-from roughmap.layers import LAYERS
 from roughmap.map import RoughMap
+from roughmap.points.footprint import ERROR_MODELS
+from roughmap.reading.layers import LAYERS
+from roughmap.reference.batch import BatchMap
 
 EXACT = ("max_height", "min_height", "range", "mid_range_height", "count", "age")
 """Chosen, not calculated: to the bit (a range is one difference, a mid-range one sum of the same two numbers)."""

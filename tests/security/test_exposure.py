@@ -10,8 +10,8 @@ from processes import Service
 
 from roughmap_schemas.config_load import load_config
 from roughmap_schemas.faults import ConfigFault
-from roughmap_service.exposure import exposures, is_loopback, is_private, weaknesses
-from roughmap_service.transport import check_exposure, zenoh_config
+from roughmap_service.host.exposure import exposures, is_loopback, is_private, weaknesses
+from roughmap_service.inputs.session import check_exposure, zenoh_config
 
 QUIET = {"scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}}}
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from processes import Service, connected, running
 
-from roughmap_service.log_repair import repair
+from roughmap_service.journal.repair import repair
 
 
 def test_log_and_store_are_closed_to_others(tmp_path: Path) -> None:

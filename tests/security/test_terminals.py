@@ -10,7 +10,7 @@ from rich.console import Console
 
 from roughmap_schemas import QueryError, encode_cloud, model_bytes
 from roughmap_schemas.messages import MapStatus
-from roughmap_service.cli.doctor_findings import Finding, show
+from roughmap_service.cli.doctor.findings import Finding, show
 from roughmap_service.cli.main import run
 from roughmap_service.cli.top_frame import frame
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from roughmap.memory import SLOT_BYTES
-from roughmap_service.spill import Spill
+from roughmap.tiles.slots import SLOT_BYTES
+from roughmap_service.store.spill import Spill
 
 
 @pytest.fixture

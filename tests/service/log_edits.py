@@ -8,7 +8,7 @@ from mcap.writer import Writer
 
 from roughmap_schemas import RunMetadata
 from roughmap_schemas.run_metadata import RECORD_NAME
-from roughmap_service.log_reader import raw_records
+from roughmap_service.journal.reader import raw_records
 
 Edit = Callable[[str, bytes], bytes | None]
 """Topic and payload to the payload that stands there instead, None for none."""

@@ -8,7 +8,7 @@ from service_tools import Run
 
 from roughmap import RoughMap
 from roughmap_service.cli.main import run as command
-from roughmap_service.store import Store
+from roughmap_service.store.map_db import Store
 
 
 def replay(*arguments: object) -> tuple[int, str, str]:

@@ -23,19 +23,20 @@ from roughmap_schemas import (
     encode_odometry,
     encode_transform,
 )
-from roughmap_service.apply import span
-from roughmap_service.fold import decode
-from roughmap_service.inbox import Inbox, WaitingCloud
-from roughmap_service.ingest import Duplicates
-from roughmap_service.log_file import Kind, LogRecord, open_new
-from roughmap_service.log_items import Rotate
-from roughmap_service.log_reader import EventRecord, FileStart, InputRecord, LogItem, find_files, one_run, read_run
-from roughmap_service.log_writer import LogWriter
-from roughmap_service.recovery import Recovered, blank
-from roughmap_service.snapshots import Snapshots, cut_of
-from roughmap_service.spill import Spill
-from roughmap_service.store import Store
-from roughmap_service.view import View
+from roughmap_schemas.kinds import Kind
+from roughmap_service.engine.recovery import Recovered, blank
+from roughmap_service.journal.file import LogRecord, open_new
+from roughmap_service.journal.items import Rotate
+from roughmap_service.journal.reader import EventRecord, FileStart, InputRecord, LogItem, find_files, one_run, read_run
+from roughmap_service.journal.writer import LogWriter
+from roughmap_service.run.apply import span
+from roughmap_service.run.duplicates import Duplicates
+from roughmap_service.run.fold import decode
+from roughmap_service.run.inbox import Inbox, WaitingCloud
+from roughmap_service.run.view import View
+from roughmap_service.store.map_db import Store
+from roughmap_service.store.snapshots import Snapshots, cut_of
+from roughmap_service.store.spill import Spill
 
 T0 = 1_700_000_000 * 10**9
 """Where the stamps of tests begin, in ns."""

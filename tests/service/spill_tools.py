@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from roughmap import RoughMap
-from roughmap_service.spill import Spill
+from roughmap_service.store.spill import Spill
 
 S = np.diag([0.03, 0.03, 0.02]) ** 2
 FAR = [[1001.0, 1.0, 0.0]]

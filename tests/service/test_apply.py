@@ -15,10 +15,10 @@ from roughmap_schemas import (
     ResetEvent,
     encode_cloud,
 )
-from roughmap_service.apply import RunError, RunState, span
-from roughmap_service.fold import decode
-from roughmap_service.log_file import Kind
-from roughmap_service.settings import Settings, new_map
+from roughmap_schemas.kinds import Kind
+from roughmap_service.run.apply import RunError, RunState, span
+from roughmap_service.run.fold import decode
+from roughmap_service.run.settings import Settings, new_map
 
 BAD = -1
 

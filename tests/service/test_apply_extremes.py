@@ -19,11 +19,11 @@ from roughmap_schemas import (
     encode_odometry,
     encode_transform,
 )
-from roughmap_service.apply import RunState, span
-from roughmap_service.fold import Content, decode
-from roughmap_service.inbox import Inbox, WaitingCloud
-from roughmap_service.log_file import Kind
-from roughmap_service.settings import Settings, new_map
+from roughmap_schemas.kinds import Kind
+from roughmap_service.run.apply import RunState, span
+from roughmap_service.run.fold import Content, decode
+from roughmap_service.run.inbox import Inbox, WaitingCloud
+from roughmap_service.run.settings import Settings, new_map
 
 END = 2**32 * SECOND
 """The first stamp that there isn't."""

@@ -12,10 +12,10 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from service_tools import Run, config, inputs_of, read_back
 
-from roughmap_service.log_reader import MAGIC, DamagedLog, LogError, last_log_time, raw_records, read_file
-from roughmap_service.recovery import Recovered, recover
-from roughmap_service.replay import replay
-from roughmap_service.store import Store, StoreError
+from roughmap_service.engine.recovery import Recovered, recover
+from roughmap_service.journal.reader import MAGIC, DamagedLog, LogError, last_log_time, raw_records, read_file
+from roughmap_service.offline.replay import replay
+from roughmap_service.store.map_db import Store, StoreError
 
 
 @pytest.fixture

@@ -12,15 +12,15 @@ from service_tools import T0, WAIT_S, Run, cloud, config, odometry
 from test_log_disk import Disk
 
 from roughmap_schemas import IntegrationEvent, decode_event
-from roughmap_service import log_writer
-from roughmap_service.counters import Counters
-from roughmap_service.decider import Decider
-from roughmap_service.intake import TURN_MESSAGES, InputMessage, Intake
-from roughmap_service.log_file import Kind
-from roughmap_service.log_items import Sync
-from roughmap_service.memory import Memory
-from roughmap_service.sequencer import Intervals, Sequencer
-from roughmap_service.spill import Spill
+from roughmap_schemas.kinds import Kind
+from roughmap_service.engine.decider import Decider
+from roughmap_service.engine.sequencer import Intervals, Sequencer
+from roughmap_service.host.counters import Counters
+from roughmap_service.inputs.queue import TURN_MESSAGES, InputMessage, Intake
+from roughmap_service.journal import writer as log_writer
+from roughmap_service.journal.items import Sync
+from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.spill import Spill
 
 
 @contextmanager

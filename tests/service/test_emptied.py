@@ -3,7 +3,7 @@
 import numpy as np
 
 from roughmap import RoughMap
-from roughmap_service.emptied import Emptied
+from roughmap_service.answers.emptied import Emptied
 
 NOTHING = np.empty((0, 2), np.int32)
 

@@ -7,9 +7,9 @@ import pytest
 from service_tools import LEVEL, PRECISE, SECOND, T0, config
 
 from roughmap_schemas import Cloud, CloudReason, Odometry
-from roughmap_service.inbox import INTEGRATED, Decision, Inbox, WaitingCloud
-from roughmap_service.poses import PoseBuffer
-from roughmap_service.settings import Settings
+from roughmap_service.run.inbox import INTEGRATED, Decision, Inbox, WaitingCloud
+from roughmap_service.run.poses import PoseBuffer
+from roughmap_service.run.settings import Settings
 
 SETTINGS = Settings(
     config(input={"max_wait": 2.0, "max_pose_gap": 0.5, "pose_history": 10.0, "queue_limit": 1000,

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from service_tools import LEVEL, PRECISE, T0, config
 
 from roughmap_schemas import Cloud, CloudReason, Odometry
-from roughmap_service.inbox import INTEGRATED, Decision, Inbox, WaitingCloud
-from roughmap_service.poses import PoseBuffer
-from roughmap_service.settings import Settings
+from roughmap_service.run.inbox import INTEGRATED, Decision, Inbox, WaitingCloud
+from roughmap_service.run.poses import PoseBuffer
+from roughmap_service.run.settings import Settings
 
 TENTH = 10**8
 SETTINGS = Settings(

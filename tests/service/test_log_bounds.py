@@ -12,12 +12,13 @@ from service_tools import T0, WAIT_S, Run, cloud, metadata
 from test_decider import memory
 from test_log_writer_faults import Stuck
 
-from roughmap_service.counters import Counters
-from roughmap_service.intake import InputMessage, Intake
-from roughmap_service.log_file import Kind, LogRecord
-from roughmap_service.log_items import RECORD_OVERHEAD, Sync
-from roughmap_service.log_writer import LogWriter
-from roughmap_service.sequencer import Intervals, Sequencer
+from roughmap_schemas.kinds import Kind
+from roughmap_service.engine.sequencer import Intervals, Sequencer
+from roughmap_service.host.counters import Counters
+from roughmap_service.inputs.queue import InputMessage, Intake
+from roughmap_service.journal.file import LogRecord
+from roughmap_service.journal.items import RECORD_OVERHEAD, Sync
+from roughmap_service.journal.writer import LogWriter
 
 LIMIT = 10_000
 CLOUDS = 100

@@ -8,15 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from service_tools import Run, read_back
 
-from roughmap_service.log_reader import (
-    LogError,
-    LogItem,
-    RunFile,
-    TornLog,
-    read_file,
-    read_metadata,
-    read_run,
-)
+from roughmap_service.journal.reader import LogError, LogItem, RunFile, TornLog, read_file, read_metadata, read_run
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from service_tools import T0, WAIT_S, inputs_of, metadata, odometry, read_back, starts_of
 
-from roughmap_service import log_writer
-from roughmap_service.log_file import Kind, LogRecord, file_name
-from roughmap_service.log_items import Rotate, Sync
-from roughmap_service.log_writer import LogWriter
+from roughmap_schemas.kinds import Kind
+from roughmap_service.journal import writer as log_writer
+from roughmap_service.journal.file import LogRecord, file_name
+from roughmap_service.journal.items import Rotate, Sync
+from roughmap_service.journal.writer import LogWriter
 
 RUN = metadata().run
 

@@ -17,11 +17,12 @@ from mcap.stream_reader import StreamReader
 from service_tools import GROUND, T0, WAIT_S, Run, cloud, config, metadata, odometry, transform
 
 from roughmap_schemas import RunMetadata, encode_cloud
+from roughmap_schemas.kinds import Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
-from roughmap_service.log_file import Kind, LogFile, LogRecord
-from roughmap_service.log_items import Rotate, Sync
-from roughmap_service.log_reader import find_files, read_metadata
-from roughmap_service.log_writer import LogWriter
+from roughmap_service.journal.file import LogFile, LogRecord
+from roughmap_service.journal.items import Rotate, Sync
+from roughmap_service.journal.reader import find_files, read_metadata
+from roughmap_service.journal.writer import LogWriter
 
 
 @pytest.fixture

@@ -5,13 +5,14 @@ from pathlib import Path
 import pytest
 from service_tools import SECOND, T0, WAIT_S, Run, metadata
 
-from roughmap_service.log_file import Kind, LogRecord
-from roughmap_service.log_items import Rotate
-from roughmap_service.log_keep import delete_oldest
-from roughmap_service.log_reader import find_files
-from roughmap_service.log_writer import LogWriter
-from roughmap_service.snapshots import cut_of
-from roughmap_service.store import Cut
+from roughmap_schemas.kinds import Kind
+from roughmap_service.journal.file import LogRecord
+from roughmap_service.journal.items import Rotate
+from roughmap_service.journal.keep import Needed, delete_oldest
+from roughmap_service.journal.reader import find_files
+from roughmap_service.journal.writer import LogWriter
+from roughmap_service.store.map_db import Cut
+from roughmap_service.store.snapshots import cut_of
 
 
 def three_files(run: Run) -> Cut:
@@ -23,11 +24,16 @@ def three_files(run: Run) -> Cut:
     return cut_of(run.run, run.config, run.state, run.inbox, run.duplicates)
 
 
+def needed(cut: Cut) -> Needed:
+    """What a snapshot of that cut needs of the log."""
+    return Needed(cut.run, cut.record, cut.low_water)
+
+
 @pytest.mark.parametrize(("keep", "left"), [(0, 1), (1 << 40, 3)])
 def test_keep_deletes_oldest_files_that_the_cut_spares(tmp_path: Path, keep: int, left: int) -> None:
     with Run(tmp_path) as run:
         cut = three_files(run)
-        delete_oldest(run.writer.path, cut, keep)
+        delete_oldest(run.writer.path, needed(cut), keep)
         assert len(find_files([tmp_path])) == left
 
 
@@ -37,7 +43,7 @@ def test_what_the_cut_needs_stays_and_other_runs_do_not(tmp_path: Path) -> None:
     with Run(tmp_path, created_ns=T0 + SECOND) as run:
         early = cut_of(run.run, run.config, run.state, run.inbox, run.duplicates)
         three_files(run)
-        delete_oldest(run.writer.path, early, 0)
+        delete_oldest(run.writer.path, needed(early), 0)
         assert [file.metadata.run for file in find_files([tmp_path])] == [run.run] * 3
 
 
@@ -57,8 +63,8 @@ def test_runs_go_by_their_age_and_not_by_their_names(tmp_path: Path) -> None:
             files[age] = [path.rename(directory / path.name.replace(run.run, name)) for path in own]
             current, cut = files[age][-1], cut_of(name, run.config, run.state, run.inbox, run.duplicates)
         spared = sum(path.stat().st_size for path in files[1][1:] + files[2])
-        assert delete_oldest(current, cut, spared) == [*files[0], files[1][0]]
-        assert delete_oldest(current, cut, 0) == [*files[1][1:], *files[2][:2]]
+        assert delete_oldest(current, needed(cut), spared) == [*files[0], files[1][0]]
+        assert delete_oldest(current, needed(cut), 0) == [*files[1][1:], *files[2][:2]]
         assert list(directory.iterdir()) == [current]
 
 
@@ -75,9 +81,9 @@ def test_what_a_repair_left_goes_with_its_file_and_what_is_foreign_stays(tmp_pat
         for path in (behind, torn):
             path.write_bytes(bytes(1 << 16))
         total = sum(path.stat().st_size for path in tmp_path.glob(f"roughmap-{run.run}*"))
-        gone = delete_oldest(run.writer.path, cut, total - first.stat().st_size - 1)
+        gone = delete_oldest(run.writer.path, needed(cut), total - first.stat().st_size - 1)
         assert [path for path in gone if path != unread] == [first, behind]
-        delete_oldest(run.writer.path, cut, 0)
+        delete_oldest(run.writer.path, needed(cut), 0)
         assert {*tmp_path.iterdir()} == {*foreign, run.writer.path}
 
 
@@ -87,7 +93,7 @@ def test_a_file_that_cannot_go_ends_it(tmp_path: Path) -> None:
         cut = three_files(run)
         second = tmp_path / f"roughmap-{run.run}-000001.mcap"
         second.write_bytes(b"damaged")
-        assert delete_oldest(run.writer.path, cut, 0) == []
+        assert delete_oldest(run.writer.path, needed(cut), 0) == []
 
 
 def test_a_file_is_full_by_what_is_held_for_it_too(tmp_path: Path) -> None:

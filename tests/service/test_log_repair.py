@@ -17,8 +17,16 @@ from mcap.stream_reader import StreamReader
 from replay_tools import replay
 from service_tools import WAIT_S, Run, events_of, inputs_of, read_back
 
-from roughmap_service.log_reader import EventRecord, FileStart, InputRecord, LogItem, TornLog, read_file, read_metadata
-from roughmap_service.log_repair import repair
+from roughmap_service.journal.reader import (
+    EventRecord,
+    FileStart,
+    InputRecord,
+    LogItem,
+    TornLog,
+    read_file,
+    read_metadata,
+)
+from roughmap_service.journal.repair import repair
 
 
 @pytest.fixture(scope="module")

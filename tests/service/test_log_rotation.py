@@ -6,9 +6,10 @@ from typing import Any
 import pytest
 from service_tools import T0, WAIT_S, Run, events_of, inputs_of, metadata, odometry, read_back, starts_of
 
-from roughmap_service.log_file import Kind, LogRecord
-from roughmap_service.log_items import Rotate
-from roughmap_service.log_writer import LogWriter
+from roughmap_schemas.kinds import Kind
+from roughmap_service.journal.file import LogRecord
+from roughmap_service.journal.items import Rotate
+from roughmap_service.journal.writer import LogWriter
 
 
 def point(number: int, received: int, stamp: int = T0) -> LogRecord:

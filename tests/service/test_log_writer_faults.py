@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 from service_tools import WAIT_S, Run, events_of, inputs_of, read_back, starts_of
 
-from roughmap_service import log_writer
-from roughmap_service.log_file import Kind, LogRecord
-from roughmap_service.log_items import Sync
+from roughmap_schemas.kinds import Kind
+from roughmap_service.journal import writer as log_writer
+from roughmap_service.journal.file import LogRecord
+from roughmap_service.journal.items import Sync
 
 
 class FullDisk(io.FileIO):

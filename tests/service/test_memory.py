@@ -10,9 +10,9 @@ import pytest
 from spill_tools import Disk, leave
 
 from roughmap import RoughMap, TooManyTiles
-from roughmap.memory import SLOT_BYTES
-from roughmap_service.memory import Memory, memory_bytes
-from roughmap_service.spill import Spill
+from roughmap.tiles.slots import SLOT_BYTES
+from roughmap_service.store.memory_limit import Memory, memory_bytes
+from roughmap_service.store.spill import Spill
 
 
 def pressed(spill: Spill, m: RoughMap) -> tuple[Memory, Callable[[], None]]:
@@ -61,7 +61,7 @@ def test_where_tiles_cannot_leave_the_memory_says_full_until_they_can(
 ) -> None:
     disk = Disk()
     disk.left = 0
-    monkeypatch.setattr("roughmap_service.memory.RETRY_SECONDS", 0.0)
+    monkeypatch.setattr("roughmap_service.store.memory_limit.RETRY_SECONDS", 0.0)
     with Spill(tmp_path / "tiles", 1000 * SLOT_BYTES, write=disk.write) as spill:
         m = RoughMap(error_model="point", threads=1, shelf=spill)
         memory, relieve = pressed(spill, m)
@@ -116,7 +116,7 @@ def test_no_memory_to_choose_what_leaves_is_no_end(spill: Spill, monkeypatch: py
     def no_memory() -> None:
         raise MemoryError
 
-    monkeypatch.setattr("roughmap_service.memory.RETRY_SECONDS", 0.0)
+    monkeypatch.setattr("roughmap_service.store.memory_limit.RETRY_SECONDS", 0.0)
     with monkeypatch.context() as short:
         short.setattr(spill, "_grow", no_memory)
         relieve()

@@ -12,9 +12,9 @@ from log_edits import nth, rewrite
 from service_tools import Run, config
 
 from roughmap import CELL_DTYPE, RoughMap
-from roughmap_service.apply import RunError
-from roughmap_service.recovery import begin_anew, recover
-from roughmap_service.store import OtherStateVersion, Store, StoreError
+from roughmap_service.engine.recovery import begin_anew, recover
+from roughmap_service.run.apply import RunError
+from roughmap_service.store.map_db import OtherStateVersion, Store, StoreError
 
 
 @pytest.fixture

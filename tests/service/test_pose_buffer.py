@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from service_tools import LEVEL, PRECISE
 
 from roughmap_schemas import Odometry, PoseReason
-from roughmap_service.poses import STALE_ROW, PoseBuffer, too_far_apart, too_fast
+from roughmap_service.run.poses import STALE_ROW, PoseBuffer, too_far_apart, too_fast
 
 HISTORY = 1000
 BEGIN = 10_000

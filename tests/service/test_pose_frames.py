@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from service_tools import LEVEL
 
 from roughmap_schemas import Odometry, PoseReason, Transform
-from roughmap_service.poses import PoseBuffer, trajectory
+from roughmap_service.run.poses import PoseBuffer, trajectory
 
 TURNED = (0.0, 0.0, np.sin(0.5), np.cos(0.5))
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from service_tools import LEVEL, SECOND, T0
 
 from roughmap_schemas import PoseReason, decode_odometry, decode_transform, encode_odometry, encode_transform
-from roughmap_service.poses import Pose, PoseBuffer, too_far_apart, too_fast, trajectory
+from roughmap_service.run.poses import Pose, PoseBuffer, too_far_apart, too_fast, trajectory
 
 LARGEST = 1.7e308
 """Twice that is no float64 number."""

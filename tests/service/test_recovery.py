@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from service_tools import Run, cloud, config, metadata, odometry, read_back
 
-from roughmap_service.apply import RunError
-from roughmap_service.log_file import Kind
-from roughmap_service.log_reader import LogError
-from roughmap_service.recovery import IdentityError, Recovered, recover
-from roughmap_service.replay import replay
-from roughmap_service.store import Store, StoreError
+from roughmap_schemas.kinds import Kind
+from roughmap_service.engine.recovery import IdentityError, Recovered, recover
+from roughmap_service.journal.reader import LogError
+from roughmap_service.offline.replay import replay
+from roughmap_service.run.apply import RunError
+from roughmap_service.store.map_db import Store, StoreError
 
 
 def drive(run: Run, first: int = 0, scans: int = 3) -> None:
@@ -225,7 +225,7 @@ def test_a_configuration_of_another_version(logs: Path) -> None:
     assert read_back(logs)
     values = json.loads(json.dumps(metadata().configuration))
     values["map"]["gravity"] = 9.81
-    from roughmap_service.recovery import check_identity
+    from roughmap_service.engine.recovery import check_identity
 
     with pytest.raises(IdentityError, match="another version"):
         check_identity(config(), values, logs)

@@ -21,8 +21,8 @@ from service_tools import (
 )
 
 from roughmap_schemas import IntegrationEvent, PointReason, decode_event, encode_event, encode_odometry
-from roughmap_service.recovery import recover
-from roughmap_service.store import Store, StoreError
+from roughmap_service.engine.recovery import recover
+from roughmap_service.store.map_db import Store, StoreError
 
 
 @pytest.fixture

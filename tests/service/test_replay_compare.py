@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roughmap import RoughMap
-from roughmap_service.replay_compare import LayerDifference, compare
+from roughmap_service.offline.compare import LayerDifference, compare
 
 COVARIANCE = np.eye(3) * 1e-8
 """So precise that a point in the middle of a cell touches no other."""

@@ -9,11 +9,11 @@ from replay_tools import drive, refused, replay
 from service_tools import Run, cloud, config, events_of, inputs_of, odometry, read_back, starts_of
 
 from roughmap import RoughMap
+from roughmap_schemas.kinds import Kind
 from roughmap_service.cli.main import run as command
-from roughmap_service.log_file import Kind
-from roughmap_service.recovery import recover
-from roughmap_service.replay import what_if
-from roughmap_service.store import Store
+from roughmap_service.engine.recovery import recover
+from roughmap_service.offline.replay import what_if
+from roughmap_service.store.map_db import Store
 
 
 @pytest.fixture

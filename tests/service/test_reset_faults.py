@@ -13,16 +13,18 @@ from service_tools import Run, cloud, config, events_of, read_back
 
 from roughmap import RoughMap
 from roughmap_client import QueryRefused
-from roughmap_client.asking import ask
+from roughmap_client.session import ask
 from roughmap_schemas import MessageFault, Receipt, ResetEvent
 from roughmap_schemas.encodings import POINT_CLOUD
-from roughmap_service.counters import Counters
-from roughmap_service.ingest import Replies
-from roughmap_service.intake import Intake, ZenohInputs
-from roughmap_service.memory import Memory
-from roughmap_service.recovery import recover
-from roughmap_service.sequencer import Intervals, NotFollowed, Sequencer, ShuttingDown
-from roughmap_service.spill import Spill
+from roughmap_service.engine.recovery import recover
+from roughmap_service.engine.sequencer import Intervals, NotFollowed, Sequencer
+from roughmap_service.host.counters import Counters
+from roughmap_service.host.ending import ShuttingDown
+from roughmap_service.inputs.queue import Intake
+from roughmap_service.inputs.receipts import Replies
+from roughmap_service.inputs.subscriptions import ZenohInputs
+from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.spill import Spill
 
 
 class Disk:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from roughmap_service.rotations import of_matrix, of_vector
+from roughmap_service.simulation.rotations import of_matrix, of_vector
 
 TURNS = [
     (0.0, 0.0, 0.0),

@@ -17,21 +17,21 @@ from net import WAIT_S, Gathered, wait_for
 from service_tools import T0, Run, cloud, config
 from spill_tools import leave
 
-from roughmap.memory import SLOT_BYTES
+from roughmap.tiles.slots import SLOT_BYTES
 from roughmap_schemas import IntegrationEvent, decode_event
-from roughmap_service.counters import Counters
-from roughmap_service.emptied import Emptied
-from roughmap_service.intake import InputMessage, Intake
-from roughmap_service.log_file import Kind
-from roughmap_service.memory import Memory
-from roughmap_service.reading import Reader
-from roughmap_service.recovery import recover
-from roughmap_service.replay import replay
-from roughmap_service.sequencer import Intervals, Sequencer
-from roughmap_service.spill import Spill
-from roughmap_service.status import Progress, Status
-from roughmap_service.store import Store
-from roughmap_service.tile_reply import Identity
+from roughmap_schemas.kinds import Kind
+from roughmap_service.answers.emptied import Emptied
+from roughmap_service.answers.tile_reply import Identity
+from roughmap_service.answers.tiles import Reader
+from roughmap_service.engine.recovery import recover
+from roughmap_service.engine.sequencer import Intervals, Sequencer
+from roughmap_service.host.counters import Counters
+from roughmap_service.inputs.queue import InputMessage, Intake
+from roughmap_service.offline.replay import replay
+from roughmap_service.store.map_db import Store
+from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.spill import Spill
+from roughmap_service.watch.status import Progress, Status
 
 NEAR, FAR, FARTHER, FARTHEST = 0, 10, 20, 30
 """Tiles, each alone: the first is in memory, the others are not."""

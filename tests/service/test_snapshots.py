@@ -11,12 +11,12 @@ import zstandard
 from service_tools import WAIT_S, Run, cloud, config
 
 from roughmap import RoughMap
-from roughmap_service import snapshots
-from roughmap_service.log_file import Kind
-from roughmap_service.poses import PoseBuffer
-from roughmap_service.recovery import recover
-from roughmap_service.snapshots import cut_of
-from roughmap_service.store import Store
+from roughmap_schemas.kinds import Kind
+from roughmap_service.engine.recovery import recover
+from roughmap_service.run.poses import PoseBuffer
+from roughmap_service.store import snapshots
+from roughmap_service.store.map_db import Store
+from roughmap_service.store.snapshots import cut_of
 
 
 def no_memory(*_: Any, **__: Any) -> Any:

@@ -13,9 +13,9 @@ from spill_tools import FAR, S, filled, ground, leave, leave_all, tiles_of
 
 from roughmap import RoughMap
 from roughmap.arrays import Records
-from roughmap.layers import LAYERS
-from roughmap.memory import SLOT_BYTES
-from roughmap_service.spill import Spill
+from roughmap.reading.layers import LAYERS
+from roughmap.tiles.slots import SLOT_BYTES
+from roughmap_service.store.spill import Spill
 
 ALL = (-20.0, -20.0, 20.0, 20.0)
 

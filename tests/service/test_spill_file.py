@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from spill_tools import FAR, Disk, S, filled, ground, leave, leave_all, tiles_of
 
-from roughmap.memory import SLOT_BYTES
-from roughmap_service.spill import Spill, SpillError
+from roughmap.tiles.slots import SLOT_BYTES
+from roughmap_service.store.spill import Spill, SpillError
 
 
 def test_the_file_grows_no_further_than_tiles_are_spilled_at_once(spill: Spill) -> None:

@@ -12,12 +12,12 @@ import pytest
 from service_tools import WAIT_S
 
 from roughmap import RoughMap
-from roughmap.digest import map_digest
-from roughmap.memory import SLOT_BYTES
-from roughmap_service.memory import Memory
-from roughmap_service.spill import Spill
-from roughmap_service.store import Cut, Store
-from roughmap_service.view import View
+from roughmap.tiles.digest import map_digest
+from roughmap.tiles.slots import SLOT_BYTES
+from roughmap_service.run.view import View
+from roughmap_service.store.map_db import Cut, Store
+from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.spill import Spill
 
 SCANS = 150
 READERS = 3

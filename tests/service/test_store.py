@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from roughmap import RoughMap
-from roughmap_service.store import Cut, DamagedStore, OtherStateVersion, Store, StoreError, tile_checksum
-from roughmap_service.stored_tiles import read_index
+from roughmap_service.store.map_db import Cut, DamagedStore, OtherStateVersion, Store, StoreError, tile_checksum
+from roughmap_service.store.stored_tiles import read_index
 
 CUT = Cut(
     run="a" * 32, epoch=3, sequence=1, input=17, record=20, low_water=12, configuration={"map": {"cell_size": 0.1}},

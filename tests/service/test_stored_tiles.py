@@ -13,17 +13,17 @@ from service_tools import WAIT_S, Run, cloud, config
 from spill_tools import leave
 
 from roughmap import CELL_DTYPE, RoughMap
-from roughmap.layers import LAYERS
-from roughmap.memory import SLOT_BYTES
+from roughmap.reading.layers import LAYERS
+from roughmap.tiles.slots import SLOT_BYTES
 from roughmap_schemas import IntegrationEvent
-from roughmap_service.log_file import Kind
-from roughmap_service.memory import Memory
-from roughmap_service.recovery import Recovered, recover
-from roughmap_service.replay import replay
-from roughmap_service.snapshots import cut_of
-from roughmap_service.spill import Spill
-from roughmap_service.store import Store, StoreError
-from roughmap_service.stored_tiles import StoredTiles, set_index
+from roughmap_schemas.kinds import Kind
+from roughmap_service.engine.recovery import Recovered, recover
+from roughmap_service.offline.replay import replay
+from roughmap_service.store.map_db import Store, StoreError
+from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.snapshots import cut_of
+from roughmap_service.store.spill import Spill
+from roughmap_service.store.stored_tiles import StoredTiles, set_index
 
 ALL = (-25.0, -25.0, 25.0, 25.0)
 
@@ -160,7 +160,7 @@ def test_a_snapshot_overwrites_nothing_that_is_still_read(
         run.checkpoint()
         if not patient:
             assert run.writer.wait_synced(WAIT_S)
-            monkeypatch.setattr("roughmap_service.snapshots.SYNC_SECONDS", 0.0)
+            monkeypatch.setattr("roughmap_service.store.snapshots.SYNC_SECONDS", 0.0)
             monkeypatch.setattr(run.writer, "wait_synced", lambda _: True)
         thread = run.snapshots.offer(lambda: cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
         assert thread is not None

@@ -8,24 +8,17 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-import roughmap.blocks
-import roughmap.changes
-import roughmap.fused
-import roughmap.index
-import roughmap.integrate
-import roughmap.memory
-import roughmap.place
+from roughmap.integration import blocks, fused, integrate
+from roughmap.points import place
+from roughmap.tiles import changes, index, slots
 from roughmap_schemas import Config, decode_cloud, encode_cloud
-from roughmap_service import warmup
-from roughmap_service.apply import prepare
-from roughmap_service.poses import Pose
-from roughmap_service.settings import Settings, new_map
-from roughmap_service.warmup import UNTURNED, warm_up
+from roughmap_service.engine import warmup
+from roughmap_service.engine.warmup import UNTURNED, warm_up
+from roughmap_service.run.apply import prepare
+from roughmap_service.run.poses import Pose
+from roughmap_service.run.settings import Settings, new_map
 
-MODULES = (
-    roughmap.blocks, roughmap.changes, roughmap.fused, roughmap.index, roughmap.integrate, roughmap.memory,
-    roughmap.place,
-)  # fmt: skip
+MODULES = (blocks, fused, integrate, place, changes, index, slots)
 
 
 def compiled() -> dict[str, int]:
@@ -43,8 +36,8 @@ def test_no_cloud_finds_a_kernel_uncompiled(model: str) -> None:
     config = Config.model_validate({"map": {"error_model": model}, "sensors": {"lidar": {"range_sigma": 0.02}}})
     warm_up(config, threading.Event())
     before = compiled()
-    assert before["roughmap.blocks.scan_blocks"] > 0
-    assert before["roughmap.blocks.point_blocks"] > 0
+    assert before["roughmap.integration.blocks.scan_blocks"] > 0
+    assert before["roughmap.integration.blocks.point_blocks"] > 0
     settings = Settings(config)
     line = [Pose(k * 10**9, (0.0, 0.0, 0.0), UNTURNED, None, 1, 0) for k in (0, 1)]
     points = np.random.default_rng(0).uniform(-5.0, 5.0, (5000, 3))

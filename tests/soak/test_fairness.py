@@ -16,7 +16,7 @@ from feeding import Robot
 from net import WAIT_S, Gathered, peer_config
 from processes import T0, Feed, Service, connected, events_in, replay
 
-from roughmap_client.asking import ask
+from roughmap_client.session import ask
 from roughmap_schemas import CloudReason, IntegrationEvent, TileInfo, encode_cloud
 
 SCANS = 40

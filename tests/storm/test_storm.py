@@ -17,7 +17,7 @@ from net import WAIT_S, Gathered
 from processes import LEVEL, PRECISE, T0, Feed, running
 
 from roughmap_client import QueryRefused, Tile
-from roughmap_client.asking import ask
+from roughmap_client.session import ask
 from roughmap_schemas import ControlAnswer, MapStatus, encode_cloud, encode_odometry
 
 S = 10**9

@@ -13,8 +13,8 @@ from roughmap_service.cli.options import BadUse, config_options, json_option, lo
 
 if TYPE_CHECKING:
     from roughmap import AddReport, RoughMap
-    from roughmap_service.clouds_in import PlacedPoints, RecordedScan
-    from roughmap_service.settings import Settings
+    from roughmap_service.formats.clouds_in import PlacedPoints, RecordedScan
+    from roughmap_service.run.settings import Settings
 
 
 @click.command
@@ -54,8 +54,8 @@ def build(
     Points in the map frame without a covariance get `input.placed_sigma`.
     """
     from roughmap_schemas.config import configuration_digest
-    from roughmap_service.settings import Settings, new_map
-    from roughmap_service.store import Store
+    from roughmap_service.run.settings import Settings, new_map
+    from roughmap_service.store.map_db import Store
 
     config = load(config_path, settings).config
     if output.exists() and not force:
@@ -97,7 +97,7 @@ def _fill(
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from roughmap_service.clouds_in import read_cloud
+    from roughmap_service.formats.clouds_in import read_cloud
 
     points = 0
     rejected: Counter[str] = Counter()
@@ -125,8 +125,8 @@ def _add(
     import numpy as np
 
     from roughmap import Limits, Noise, Scan, Trajectory
-    from roughmap_service.clouds_in import PlacedPoints
-    from roughmap_service.rover_play import rotation_of
+    from roughmap_service.formats.clouds_in import PlacedPoints
+    from roughmap_service.simulation.playing import rotation_of
 
     if isinstance(part, PlacedPoints):
         covariance = settings.placed_covariance if part.covariance is None else part.covariance

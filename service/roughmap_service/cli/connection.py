@@ -12,8 +12,8 @@ from roughmap_client.access import endpoints_of, read_zenoh_file, setting, told
 from roughmap_schemas.config import without_secrets
 from roughmap_schemas.config_load import LoadedConfig
 from roughmap_service.cli.options import Failure, reachable
-from roughmap_service.exposure import is_encrypted
-from roughmap_service.transport import zenoh_config
+from roughmap_service.host.exposure import is_encrypted
+from roughmap_service.inputs.session import zenoh_config
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where `serve` listens unless told otherwise, so that the commands find it without an option."""

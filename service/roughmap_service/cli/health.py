@@ -11,9 +11,9 @@ import click
 from roughmap_schemas.config import Config
 from roughmap_schemas.config_load import LoadedConfig
 from roughmap_service.cli.options import Failure, config_options, json_option, load, reachable
-from roughmap_service.http_token import HttpError, token_of
-from roughmap_service.logs import printable
-from roughmap_service.readiness import HINDERS_NOTHING, Problem
+from roughmap_service.host.log_lines import printable
+from roughmap_service.http.token import HttpError, token_of
+from roughmap_service.watch.readiness import HINDERS_NOTHING, Problem
 
 TIMEOUT_S = 3.0
 

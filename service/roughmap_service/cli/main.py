@@ -111,17 +111,17 @@ def _exit_code(error: Exception) -> int | None:
 _LATE = (
     ("roughmap_client.errors", "RoughMapError", 1),
     ("zenoh", "ZError", 1),
-    ("roughmap_service.clouds_in", "CloudFileFault", 2),
-    ("roughmap_service.store", "StoreError", 2),
-    ("roughmap_service.log_reader", "LogError", 2),
-    ("roughmap_service.apply", "RunError", 1),
-    ("roughmap_service.recovery", "IdentityError", 2),
-    ("roughmap_service.replay", "ReplayError", 2),
-    ("roughmap_service.transport", "TransportError", 1),
-    ("roughmap_service.http_token", "HttpError", 2),
-    ("roughmap_service.http_server", "PortTaken", 1),
+    ("roughmap_service.formats.clouds_in", "CloudFileFault", 2),
+    ("roughmap_service.store.map_db", "StoreError", 2),
+    ("roughmap_service.journal.reader", "LogError", 2),
+    ("roughmap_service.run.apply", "RunError", 1),
+    ("roughmap_service.engine.recovery", "IdentityError", 2),
+    ("roughmap_service.offline.replay", "ReplayError", 2),
+    ("roughmap_service.inputs.session", "TransportError", 1),
+    ("roughmap_service.http.token", "HttpError", 2),
+    ("roughmap_service.http.server", "PortTaken", 1),
     ("roughmap_service.serve", "ServeError", 2),
-    ("roughmap_service.locks", "LockError", 2),
+    ("roughmap_service.host.locks", "LockError", 2),
 )
 """Module, error and exit code; only a command that needs the module has loaded it, so it isn't imported for this."""
 
@@ -134,7 +134,7 @@ def _text(error: Exception) -> str:
 
 def complain(message: str, code: int) -> int:
     """Tell of an error in one line; returns the exit code."""
-    from roughmap_service.logs import printable
+    from roughmap_service.host.log_lines import printable
 
     click.echo(f"roughmap: {printable(' '.join(message.split()))}", err=True)
     return code

@@ -109,7 +109,7 @@ def reachable(address: str) -> str:
 def load_pictures() -> ModuleType:
     """The module that draws; Failure with the mend in one line where matplotlib is missing."""
     try:
-        return importlib.import_module("roughmap_service.pictures")
+        return importlib.import_module("roughmap_service.formats.pictures")
     except ImportError as error:
         raise Failure(str(error)) from error
 

@@ -18,7 +18,7 @@ from roughmap_service.cli.options import (
     load_pictures,
     zenoh_option,
 )
-from roughmap_service.logs import printable
+from roughmap_service.host.log_lines import printable
 
 if TYPE_CHECKING:
     from roughmap_client import Region

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import BadUse, json_option, setting
+from roughmap_service.cli.options import BadUse, json_option, setting
 
 if TYPE_CHECKING:
     from roughmap_schemas import Config
-    from roughmap_service.apply import RunState
-    from roughmap_service.fold import Step
+    from roughmap_service.run.apply import RunState
+    from roughmap_service.run.fold import Step
 
 
 @click.command()
@@ -44,10 +44,10 @@ def replay(
     last line says `equal: ...` (exit 0) or `differs at sequence ...` (exit 1); exit 2 if the logs are no whole run.
     With --what-if the run is integrated a second time under other settings, and the maps are compared.
     """
-    from roughmap_service.log_reader import find_files, one_run
-    from roughmap_service.replay import config_of
-    from roughmap_service.replay import replay as run
-    from roughmap_service.replay_log import check_empty
+    from roughmap_service.journal.reader import find_files, one_run
+    from roughmap_service.offline.replay import config_of
+    from roughmap_service.offline.replay import replay as run
+    from roughmap_service.offline.replay_log import check_empty
 
     found = one_run(find_files(logs), logs)
     total = [file.path for file in found]
@@ -92,8 +92,8 @@ def _what_if(
     as_json: bool,
 ) -> "tuple[RunState, list[dict[str, Any]]]":
     """The run under other settings, and a table of how each layer differs."""
-    from roughmap_service.replay import what_if
-    from roughmap_service.replay_compare import compare
+    from roughmap_service.offline.compare import compare
+    from roughmap_service.offline.replay import what_if
 
     with _progress("what if", files) as watch:
         now = what_if(logs, change, watch=lambda step, _state: watch(step))
@@ -147,14 +147,14 @@ def _print_differences(differences: "list[Any]", changes: dict[str, object]) -> 
 
 def _store(out: Path, state: "RunState", config: "Config", run: str) -> None:
     from roughmap_schemas import configuration_digest
-    from roughmap_service.store import Store
+    from roughmap_service.store.map_db import Store
 
     Store(out).write_map(state.map, config.public_dict(), configuration_digest(config), run)
 
 
 def _log(logs: tuple[Path, ...], files: list[Path], directory: Path, change: "Callable[[Config], Config]") -> None:
-    from roughmap_service.replay import what_if
-    from roughmap_service.replay_log import ReplayLog
+    from roughmap_service.offline.replay import what_if
+    from roughmap_service.offline.replay_log import ReplayLog
 
     with _progress("log", files) as watch, ReplayLog(directory) as written:
 
@@ -171,7 +171,7 @@ def _progress(title: str, files: list[Path]) -> "Iterator[Callable[[Step], None]
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from roughmap_service.log_reader import EventRecord, FileStart
+    from roughmap_service.journal.reader import EventRecord, FileStart
 
     console = Console(file=sys.stderr)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("files"),

@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-from .options import config_options, load
+from roughmap_service.cli.options import config_options, load
 
 log = logging.getLogger(__name__)
 
@@ -38,7 +38,7 @@ def serve(
     """
     from roughmap_schemas.config import without_secrets
     from roughmap_service.cli.main import complain
-    from roughmap_service.logs import note, set_up
+    from roughmap_service.host.log_lines import note, set_up
 
     sys.setswitchinterval(SWITCH_SECONDS)
     os.umask(os.umask(0o027) | 0o027)  # log and store may be read by the group, and by nobody else

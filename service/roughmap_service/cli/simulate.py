@@ -13,8 +13,8 @@ import click
 from roughmap_service.cli.options import Failure, config_options, connect_option, json_option, load, zenoh_option
 
 if TYPE_CHECKING:
-    from roughmap_service.rover import Message
-    from roughmap_service.rover_publish import Published, RoverPublisher
+    from roughmap_service.simulation.publishing import Published, RoverPublisher
+    from roughmap_service.simulation.rover import Message
 
 
 @click.command
@@ -79,10 +79,10 @@ def simulate(
     from roughmap_client.access import endpoints_of
     from roughmap_schemas.config import without_secrets
     from roughmap_service.cli.connection import client_config, if_guarded, open_client
-    from roughmap_service.rover import rovers
-    from roughmap_service.rover_play import recorded_messages
-    from roughmap_service.rover_publish import NobodyListens, RoverPublisher, merged
-    from roughmap_service.rover_scanner import Scanner
+    from roughmap_service.simulation.playing import recorded_messages
+    from roughmap_service.simulation.publishing import NobodyListens, RoverPublisher, merged
+    from roughmap_service.simulation.rover import rovers
+    from roughmap_service.simulation.scanner import Scanner
 
     if recording is not None:
         messages, fleet = recorded_messages(recording, robot, sensor_frame), []

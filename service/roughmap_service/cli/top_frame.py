@@ -16,7 +16,7 @@ from roughmap_schemas import IntegrationEvent, decode_event
 from roughmap_schemas.faults import ContractError
 from roughmap_schemas.messages import MapStatus
 from roughmap_schemas.reasons import MEANING, CloudReason, PointReason, PoseReason, Reason, Refusal
-from roughmap_service.logs import printable
+from roughmap_service.host.log_lines import printable
 
 WINDOW_S = 10.0
 """Seconds over which a robot's rates are told, as the status tells the map's."""

@@ -1,0 +1,261 @@
+"""Phase two of an `add`: the tiles of the odd points, and the ordered update of all cells."""
+
+import numpy as np
+
+from roughmap.arrays import F8, I4, I8, U1, U8, Scalar
+from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT
+from roughmap.integration.update import QUEUE, drain
+from roughmap.intrinsics import prefetch
+from roughmap.jit import inline, kernel
+from roughmap.points.footprint import LEAST_SHARE, POINT, box_of, shares_of
+from roughmap.points.place import BLOCK
+from roughmap.tiles.index import find, row_of, tile_key
+
+_MASK = np.int64(TILE_CELLS - 1)
+_SHIFT = np.int64(TILE_SHIFT)
+_ROW = np.uint64(TILE_CELLS)
+_BYTES = np.uint64(CELL_DTYPE.itemsize)
+_EAST = _BYTES
+_NORTH = _ROW * _BYTES
+_ONE = np.uint64(1)
+_CORNER = np.uint64(TILE_SHIFT)
+
+
+@inline
+def _takes_part(p: Scalar, least: Scalar) -> Scalar:
+    """Whether a cell with share ``p`` of an odd point is written; the same wherever it is asked."""
+    return (p >= least) & (p > LEAST_SHARE)
+
+
+@kernel
+def collect_odd(
+    start: int, stop: int, planes: Scalar, rules: Scalar, found: Scalar, number: int, lines: F8, shares: F8
+) -> tuple[int, int]:
+    """Find the tiles in which those odd points of rows ``start`` to ``stop`` take part that lie in several.
+
+    Stops early where the table of tiles in ``found`` has no room for those of another point, so that none is cut in
+    two. Returns (row at which it stopped, number of tiles).
+    """
+    table, keys, work, _ = found
+    model, a, _, window, _, min_share = rules
+    w0, v0, w1, v1 = window
+    for n in range(start, stop):
+        if planes.odd_home[n] >= 0:
+            continue
+        i0, j0, i1, j1 = box_of(planes.odd_box, n)
+        tx0, ty0, tx1, ty1 = i0 >> _SHIFT, j0 >> _SHIFT, i1 >> _SHIFT, j1 >> _SHIFT
+        if 2 * (number + (tx1 - tx0 + 1) * (ty1 - ty0 + 1)) > len(table):
+            return n, number
+        least = min_share * shares_of(model, planes.odd_box, planes.odd_body, n, a, lines, shares)
+        ni = i1 - i0 + 1
+        for ty in range(ty0, ty1 + 1):
+            for tx in range(tx0, tx1 + 1):
+                touched = False
+                for j in range(max(j0, v0, ty << _SHIFT), min(j1, v1, (ty << _SHIFT) + _MASK) + 1):
+                    for i in range(max(i0, w0, tx << _SHIFT), min(i1, w1, (tx << _SHIFT) + _MASK) + 1):
+                        p = shares[(j - j0) * ni + (i - i0)]
+                        touched |= _takes_part(p, least)
+                if touched:
+                    key = tile_key(tx, ty)
+                    row = find(table, keys, key)
+                    if row < 0:  # only then: a call counts references to arrays, which takes as long as all else
+                        row, number = row_of(table, keys, work, key, number)
+                    work[row] += 1
+    return stop, number
+
+
+@inline
+def _enqueue_odd(
+    queue: Scalar,
+    count: Scalar,
+    n: Scalar,
+    address: Scalar,
+    bits: U8,
+    row: Scalar,
+    q: Scalar,
+    i0: Scalar,
+    j0: Scalar,
+    ni: Scalar,
+    i_low: Scalar,
+    i_high: Scalar,
+    j_low: Scalar,
+    j_high: Scalar,
+    least: Scalar,
+    shares: F8,
+) -> Scalar:
+    """Queue the cells of one tile that a footprint covers; updates that are now in the queue.
+
+    Every cell is written to the queue and the end moved on by those that take part: no branch to be guessed wrong.
+    """
+    cell, weight, point = queue
+    for j in range(j_low, j_high + 1):
+        changed = np.uint64(0)
+        line = np.uint64(j & _MASK)
+        for i in range(i_low, i_high + 1):
+            p = shares[(j - j0) * ni + (i - i0)]
+            taken = np.uint64(_takes_part(p, least))
+            column = np.uint64(i & _MASK)
+            where = address + (line * _ROW + column) * _BYTES
+            cell[count] = where
+            weight[count] = p * q
+            point[count] = n
+            count += taken
+            changed |= taken << column
+            prefetch(where)
+        bits[row, line] |= changed
+    return count
+
+
+@inline
+def _enqueue_plain(
+    queue: Scalar, count: Scalar, n: Scalar, where: Scalar, corner: Scalar, bits: U8, row: Scalar, weight: F8
+) -> Scalar:  # fmt: skip
+    """The same for the 2 x 2 cells from the one at ``where`` on.
+
+    Arrays are never cut to a row in here: each cut would count references, which costs more than the rest.
+    """
+    b, k = np.uint64(n) // np.uint64(BLOCK), np.uint64(n) % np.uint64(BLOCK)
+    cell, heavy, point = queue
+    w0, w1 = weight[b, np.uint64(0), k], weight[b, np.uint64(1), k]
+    w2, w3 = weight[b, np.uint64(2), k], weight[b, np.uint64(3), k]
+    t0, t1, t2, t3 = np.uint64(w0 > 0.0), np.uint64(w1 > 0.0), np.uint64(w2 > 0.0), np.uint64(w3 > 0.0)
+    prefetch(where)
+    prefetch(where + _EAST)
+    prefetch(where + _NORTH)
+    prefetch(where + _NORTH + _EAST)
+    cell[count] = where
+    heavy[count] = w0
+    point[count] = n
+    count += t0
+    cell[count] = where + _EAST
+    heavy[count] = w1
+    point[count] = n
+    count += t1
+    cell[count] = where + _NORTH
+    heavy[count] = w2
+    point[count] = n
+    count += t2
+    cell[count] = where + _NORTH + _EAST
+    heavy[count] = w3
+    point[count] = n
+    count += t3
+    line, column = corner >> _CORNER, corner & np.uint64(_MASK)
+    bits[row, line] |= (t0 | t1 << _ONE) << column
+    bits[row, (line + _ONE) & np.uint64(_MASK)] |= (t2 | t3 << _ONE) << column
+    return count
+
+
+@inline
+def _enqueue_point(
+    queue: Scalar, count: Scalar, n: Scalar, where: Scalar, corner: Scalar, bits: U8, row: Scalar
+) -> Scalar:
+    """The same for `point`: one cell, of weight 1."""
+    cell, heavy, point = queue
+    prefetch(where)
+    cell[count] = where
+    heavy[count] = 1.0
+    point[count] = n
+    bits[row, corner >> _CORNER] |= _ONE << (corner & np.uint64(_MASK))
+    return count + _ONE
+
+
+@inline
+def _widen(oldest: I8, newest: I8, row: Scalar, stamps: I8, first: Scalar, last: Scalar) -> None:
+    """Widen a tile's stamps by those of some points."""
+    low = high = stamps[0]
+    if len(stamps) > 1:
+        low = high = stamps[first]
+        for n in range(first + 1, last):
+            low, high = min(low, stamps[n]), max(high, stamps[n])
+    oldest[row] = min(oldest[row], low)
+    newest[row] = max(newest[row], high)
+
+
+@inline
+def _enqueue_run(
+    queue: Scalar, count: Scalar, first: Scalar, last: Scalar, base: Scalar, bits: U8, row: Scalar, planes: Scalar,
+    model: Scalar,
+) -> Scalar:  # fmt: skip
+    """The same for a run of plain points in the tile at ``base``."""
+    for n in range(first, last):
+        corner = np.uint64(planes.corner[n])
+        where = base + corner * _BYTES
+        if model == POINT:
+            count = _enqueue_point(queue, count, n, where, corner, bits, np.uint64(row))
+        else:
+            count = _enqueue_plain(queue, count, n, where, corner, bits, np.uint64(row), planes.weight)
+    return count
+
+
+@kernel
+def update_tiles(
+    part: int,
+    owner: U1,
+    starts: I8,
+    ends: I8,
+    planes: Scalar,
+    stamps: I8,
+    rules: Scalar,
+    min_distance: float,
+    rows: I4,
+    table: I4,
+    keys: U8,
+    address: U8,
+    bits: U8,
+    oldest: I8,
+    newest: I8,
+    lines: F8,
+    shares: F8,
+    queue: Scalar,
+) -> None:
+    """Update the cells of the tiles that ``part`` owns, in the order of the points.
+
+    ``starts``, ``ends`` (P,): the rows of the runs that the parts of phase one made; ``rows`` (P, R): for the tiles
+    that each found, their rows here. ``stamps``: one for all points, or one a point. ``bits`` (T, 64): a bit for each
+    changed cell, rows along y. ``oldest``, ``newest`` (T,) of the tiles' points are widened.
+    """
+    model, a, _, window, _, min_share = rules
+    w0, v0, w1, v1 = window
+    count = np.uint64(0)
+    for found in range(len(starts)):
+        for run in range(starts[found], ends[found]):
+            home = np.int64(planes.run_home[run])
+            odd = -1 - home
+            row = np.int64(planes.odd_home[odd]) if home < 0 else home
+            if row >= 0:
+                row = np.int64(rows[found, row])
+                if owner[row] != part:
+                    continue
+            if count >= QUEUE:
+                drain(queue, count, planes.z, planes.q, stamps, model, min_distance)
+                count = np.uint64(0)
+            n, stop = np.int64(planes.run_start[run]), np.int64(planes.run_stop[run])
+            if home >= 0:
+                count = _enqueue_run(queue, count, n, stop, address[row], bits, row, planes, model)
+                _widen(oldest, newest, row, stamps, n, stop)
+                continue
+            i0, j0, i1, j1 = box_of(planes.odd_box, odd)
+            ni = i1 - i0 + 1
+            least = min_share * shares_of(model, planes.odd_box, planes.odd_body, odd, a, lines, shares)
+            q = planes.q[n] if model != POINT else 1.0
+            if row >= 0:
+                count = _enqueue_odd(
+                    queue, count, n, address[row], bits, row, q, i0, j0, ni, i0, i1, j0, j1, least, shares
+                )
+                _widen(oldest, newest, row, stamps, n, stop)
+                continue
+            for ty in range(j0 >> _SHIFT, (j1 >> _SHIFT) + 1):
+                for tx in range(i0 >> _SHIFT, (i1 >> _SHIFT) + 1):
+                    row = find(table, keys, tile_key(tx, ty))
+                    if row < 0 or owner[row] != part:
+                        continue
+                    i_low, i_high = max(i0, w0, tx << _SHIFT), min(i1, w1, (tx << _SHIFT) + _MASK)
+                    j_low, j_high = max(j0, v0, ty << _SHIFT), min(j1, v1, (ty << _SHIFT) + _MASK)
+                    before = count
+                    count = _enqueue_odd(
+                        queue, count, n, address[row], bits, row, q, i0, j0, ni, i_low, i_high, j_low, j_high, least,
+                        shares,
+                    )  # fmt: skip
+                    if count != before:
+                        _widen(oldest, newest, row, stamps, n, stop)
+    drain(queue, count, planes.z, planes.q, stamps, model, min_distance)

@@ -1,0 +1,276 @@
+"""Where a point may be: the bounds of its error body, the tests on its covariance, its shares in cells (eq. 12)."""
+
+import math
+
+import numpy as np
+
+from roughmap.arrays import F8, I4, U1, Scalar
+from roughmap.cell import PointReason
+from roughmap.jit import inline
+from roughmap.points.ellipse import ellipse_shares, pivots, raise_eigenvalues
+from roughmap.points.place import BLOCK, S, X, Y, Z
+
+POINT, CUBOID, ELLIPSOID = 0, 1, 2
+ERROR_MODELS = ("point", "cuboid", "ellipsoid")
+"""The names of the models; index = the number that kernels take."""
+
+LEAST_SHARE = 1e-12
+"""A share must be above this to take part: below it the rounding of edges is all that it says."""
+
+_NOT_FINITE = int(PointReason.NOT_FINITE)
+_COVARIANCE = int(PointReason.COVARIANCE)
+_UNCERTAIN = int(PointReason.UNCERTAIN)
+_BOUNDS = int(PointReason.BOUNDS)
+
+_INT_MIN = -2147483648.0
+_INT_MAX = 2147483647.0
+_PSD_SLACK = 1e-9
+"""An eigenvalue may be this far below zero, in parts of the trace."""
+
+HEIGHT_MAX = 1e150
+"""Metres; heights beyond it, up or down, are out of bounds: their squares must be numbers."""
+
+_DENSITY_MIN, _DENSITY_MAX = 1e-140, 1e140
+"""Weights per share within which W and W2 neither over- nor underflow."""
+
+
+@inline
+def _judge_covariance(xx: Scalar, xy: Scalar, xz: Scalar, yy: Scalar, yz: Scalar, zz: Scalar) -> Scalar:
+    """Whether a covariance is finite, without a negative diagonal, and without an eigenvalue < -1e-9 trace."""
+    finite = (
+        (abs(xx) < math.inf)
+        & (abs(xy) < math.inf)
+        & (abs(xz) < math.inf)
+        & (abs(yy) < math.inf)
+        & (abs(yz) < math.inf)
+        & (abs(zz) < math.inf)
+    )
+    trace = xx + yy + zz
+    # In parts of the trace nothing over- or underflows. Pivots, not minors: those of a matrix of rank one drown in
+    # rounding, these stay at the slack.
+    d0, d1, d2 = pivots(
+        xx / trace + _PSD_SLACK,
+        xy / trace,
+        xz / trace,
+        yy / trace + _PSD_SLACK,
+        yz / trace,
+        zz / trace + _PSD_SLACK,
+    )
+    psd = (d0 > 0.0) & (d1 > 0.0) & (d2 > 0.0)
+    exact = (trace == 0.0) & (xy == 0.0) & (xz == 0.0) & (yz == 0.0)
+    return finite & (xx >= 0.0) & (yy >= 0.0) & (zz >= 0.0) & (psd | exact)
+
+
+@inline
+def _judge_place(
+    before: Scalar, x: Scalar, y: Scalar, z: Scalar, f0: Scalar, f1: Scalar, g0: Scalar, g1: Scalar, area: Scalar
+) -> Scalar:
+    """The reason ``before``, or ``bounds``; before both ``not_finite``. f, g: first and last cell along x and y."""
+    inside = (
+        (x >= area[0])
+        & (y >= area[1])
+        & (x < area[2])
+        & (y < area[3])
+        & (f0 >= _INT_MIN)
+        & (g0 >= _INT_MIN)
+        & (f1 <= _INT_MAX)
+        & (g1 <= _INT_MAX)
+        & (abs(z) <= HEIGHT_MAX)
+    )
+    reason = np.uint8(_BOUNDS) if (before == 0) & (not inside) else np.uint8(before)
+    finite = (abs(x) < math.inf) & (abs(y) < math.inf) & (abs(z) < math.inf)
+    return reason if finite else np.uint8(_NOT_FINITE)
+
+
+@inline
+def _cell_number(f: Scalar) -> Scalar:
+    """A floored number as int32; 0 for one that does not fit, whose point is rejected anyway."""
+    return np.int32(f if (f >= _INT_MIN) & (f <= _INT_MAX) else 0.0)
+
+
+@inline
+def bound_points(planes: F8, reason: U1, cells: I4, a: float, area: Scalar) -> None:
+    """`point`: the cell of each point. ``cells`` (4, BLOCK): i0, j0, i1, j1 of the footprint, both ends in it."""
+    for n in range(BLOCK):
+        x, y, z = planes[X, n], planes[Y, n], planes[Z, n]
+        f = math.floor(x / a) + 0.0
+        g = math.floor(y / a) + 0.0
+        before = reason[n]
+        judged = _judge_place(before, x, y, z, f, f, g, g, area)
+        reason[n] = judged if before == 0 else before
+        i = _cell_number(f)
+        j = _cell_number(g)
+        cells[0, n] = i
+        cells[1, n] = j
+        cells[2, n] = i
+        cells[3, n] = j
+
+
+@inline
+def _bound(
+    n: Scalar, planes: F8, reason: U1, cells: I4, ex: Scalar, ey: Scalar, before: Scalar, a: Scalar, area: Scalar
+) -> None:
+    """Cells and reason of a point with half extents ex, ey; ``before``: what its covariance is rejected for, or 0."""
+    x, y, z = planes[X, n], planes[Y, n], planes[Z, n]
+    f0 = np.floor((x - ex) / a)
+    g0 = np.floor((y - ey) / a)
+    f1 = np.floor((x + ex) / a)
+    g1 = np.floor((y + ey) / a)
+    earlier = reason[n]
+    judged = _judge_place(before, x, y, z, f0, f1, g0, g1, area)
+    reason[n] = judged if earlier == 0 else earlier
+    cells[0, n] = _cell_number(f0)
+    cells[1, n] = _cell_number(g0)
+    cells[2, n] = _cell_number(f1)
+    cells[3, n] = _cell_number(g1)
+
+
+@inline
+def _covariance(planes: F8, n: Scalar) -> Scalar:
+    """The upper triangle of a point's covariance."""
+    return planes[S, n], planes[S + 1, n], planes[S + 2, n], planes[S + 3, n], planes[S + 4, n], planes[S + 5, n]
+
+
+@inline
+def _judge_size(good: Scalar, wide: Scalar) -> Scalar:
+    """What a covariance is rejected for, or 0."""
+    before = np.uint8(_UNCERTAIN) if wide else np.uint8(0)
+    return before if good else np.uint8(_COVARIANCE)
+
+
+@inline
+def bound_cuboids(planes: F8, reason: U1, cells: I4, body: F8, q: F8, a: float, area: Scalar, error: Scalar) -> None:
+    """`cuboid`, a block: cells, reasons, ``body`` (>= 2, BLOCK): rx, ry; ``q`` = w / p = a / (rx ry rz).
+
+    ``planes``: of the block, see `place`. ``area``: xmin, ymin, xmax, ymax, half-open, metres. ``error``: coverage,
+    min_radius, max_horizontal_radius. Points that have a reason keep it.
+    """
+    k, least, widest = error
+    for n in range(BLOCK):
+        xx, xy, xz, yy, yz, zz = _covariance(planes, n)
+        sx = k * math.sqrt(xx)
+        sy = k * math.sqrt(yy)
+        rx = max(sx, least)
+        ry = max(sy, least)
+        rz = max(k * math.sqrt(zz), least)
+        density = a / (rx * ry * rz)
+        good = _judge_covariance(xx, xy, xz, yy, yz, zz)
+        good &= (density > _DENSITY_MIN) & (density < _DENSITY_MAX)
+        _bound(n, planes, reason, cells, rx, ry, _judge_size(good, max(sx, sy) > widest), a, area)
+        body[0, n] = rx
+        body[1, n] = ry
+        q[n] = density
+
+
+@inline
+def bound_ellipsoids(
+    planes: F8, reason: U1, cells: I4, body: F8, q: F8, judged: U1, a: float, area: Scalar, error: Scalar
+) -> None:
+    """`ellipsoid`, a block: as `bound_cuboids`, with ``body``: k sx, k sy, rho, beta; ``q`` = a / (k^3 sqrt(det S)).
+
+    Where an eigenvalue is below (min_radius / k)^2 it is raised to it in ``planes``. ``judged`` is scratch.
+    """
+    k, least, widest = error
+    floor = (least / k) * (least / k)
+    # Eigenvalues a little below zero are let through, in parts of the trace: raising them may widen a body of great
+    # height without bound. What it may be at most without that is what footprints have room for.
+    room = math.sqrt(widest * widest + least * least) * (1.0 + 1e-9)
+    thin = np.int64(0)
+    for n in range(BLOCK):
+        xx, xy, xz, yy, yz, zz = _covariance(planes, n)
+        good = _judge_covariance(xx, xy, xz, yy, yz, zz)
+        judged[n] = _judge_size(good, k * math.sqrt(max(xx, yy)) > widest)
+        d0, d1, d2 = pivots(xx, xy, xz, yy, yz, zz)
+        m0, m1, m2 = pivots(xx - floor, xy, xz, yy - floor, yz, zz - floor)
+        thick = (m0 > 0.0) & (m1 > 0.0) & (m2 > 0.0)
+        q[n] = d0 * d1 * d2 if thick else -1.0
+        thin += np.int64(0) if thick else np.int64(1)
+    if thin:
+        for n in range(BLOCK):
+            if q[n] == -1.0 and judged[n] != _COVARIANCE and reason[n] == 0:
+                q[n] = raise_eigenvalues(planes, S, n, floor)
+    for n in range(BLOCK):
+        xx, xy, _, yy, _, _ = _covariance(planes, n)
+        ex = k * math.sqrt(xx)
+        ey = k * math.sqrt(yy)
+        density = a / (k * k * k * math.sqrt(q[n]))
+        good = (density > _DENSITY_MIN) & (density < _DENSITY_MAX) & ((max(ex, ey) <= room) | (judged[n] != 0))
+        before = judged[n] if good else np.uint8(_COVARIANCE)
+        _bound(n, planes, reason, cells, ex, ey, before, a, area)
+        product = xx * yy
+        body[0, n] = ex
+        body[1, n] = ey
+        body[2, n] = xy / math.sqrt(product)
+        body[3, n] = math.sqrt(max(product - xy * xy, 0.0) / product)
+        q[n] = density
+
+
+@inline
+def _cuboid_shares(
+    x: Scalar,
+    y: Scalar,
+    rx: Scalar,
+    ry: Scalar,
+    i0: Scalar,
+    j0: Scalar,
+    ni: Scalar,
+    nj: Scalar,
+    a: Scalar,
+    lines: F8,
+    shares: F8,
+) -> Scalar:
+    """Shares of [x-rx, x+rx] x [y-ry, y+ry] in the cells, row by row; the largest.
+
+    The edges are cut to the footprint relative to its middle, so that the shares add up to 1 by themselves.
+    """
+    widest = 0.0
+    before = min(max(i0 * a - x, -rx), rx)
+    for i in range(ni):
+        after = min(max((i0 + i + 1) * a - x, -rx), rx)
+        p = max(after - before, 0.0) / (2.0 * rx)
+        lines[4, i] = p
+        widest = max(widest, p)
+        before = after
+    largest = 0.0
+    before = min(max(j0 * a - y, -ry), ry)
+    for j in range(nj):
+        after = min(max((j0 + j + 1) * a - y, -ry), ry)
+        p = max(after - before, 0.0) / (2.0 * ry)
+        for i in range(ni):
+            shares[j * ni + i] = p * lines[4, i]
+        largest = max(largest, p * widest)
+        before = after
+    return largest
+
+
+@inline
+def box_of(boxes: I4, n: Scalar) -> Scalar:
+    """Cells i0, j0, i1, j1 in row ``n``, wide enough for sums."""
+    return np.int64(boxes[n, 0]), np.int64(boxes[n, 1]), np.int64(boxes[n, 2]), np.int64(boxes[n, 3])
+
+
+@inline
+def shares_of(model: Scalar, boxes: I4, bodies: F8, n: Scalar, a: Scalar, lines: F8, shares: F8) -> Scalar:
+    """Fill ``shares`` with the shares of a point in the cells of its footprint, row by row; the largest.
+
+    Row ``n`` of ``boxes``: cells i0, j0, i1, j1, both ends in it; of ``bodies``: x, y, half extents, rho, beta.
+    ``lines`` (5, >= cells along x + 1) is scratch.
+    """
+    i0, j0, i1, j1 = box_of(boxes, n)
+    ni, nj = i1 - i0 + 1, j1 - j0 + 1
+    x, y, ex, ey = bodies[n, 0], bodies[n, 1], bodies[n, 2], bodies[n, 3]
+    if model == POINT or (ni == 1 and nj == 1):
+        shares[0] = 1.0
+        return 1.0
+    if model == CUBOID:
+        largest = _cuboid_shares(x, y, ex, ey, i0, j0, ni, nj, a, lines, shares)
+    else:
+        largest = ellipse_shares(x, y, ex, ey, bodies[n, 4], bodies[n, 5], i0, j0, ni, nj, a, lines, shares)
+    if not largest > LEAST_SHARE:
+        # The footprint is finer than float64's spacing at its place: all of it lies in the cell of its position.
+        i: Scalar = min(max(np.int64(math.floor(x / a)) - i0, 0), ni - 1)
+        j: Scalar = min(max(np.int64(math.floor(y / a)) - j0, 0), nj - 1)
+        for c in range(ni * nj):
+            shares[c] = 1.0 if c == j * ni + i else 0.0
+        largest = 1.0
+    return largest

@@ -1,0 +1,67 @@
+"""From the sensor into the map (eq. 1)."""
+
+import numpy as np
+
+from roughmap.arrays import F8, I8, U1, Scalar
+from roughmap.jit import inline, kernel
+from roughmap.points.place import BLOCK, PLANES, STRIDE, S, X, Y, Z, place_moving, place_still, pose_at
+from roughmap.points.scan import Limits, Noise, Scan, point_rules
+from roughmap.points.strided import read_points, source_of
+from roughmap.points.trajectory import Trajectory
+
+__all__ = ["Limits", "Noise", "Scan", "georeference"]
+
+
+@inline
+def _write(P: F8, why: U1, first: int, size: int, points: F8, covariance: F8, reason: U1) -> None:
+    for n in range(size):
+        kept = why[n] == 0
+        reason[first + n] = why[n]
+        points[first + n, 0] = P[X, n] if kept else np.nan
+        points[first + n, 1] = P[Y, n] if kept else np.nan
+        points[first + n, 2] = P[Z, n] if kept else np.nan
+        c = covariance[first + n]
+        c[0, 0] = P[S, n] if kept else np.nan
+        c[0, 1] = P[S + 1, n] if kept else np.nan
+        c[0, 2] = P[S + 2, n] if kept else np.nan
+        c[1, 1] = P[S + 3, n] if kept else np.nan
+        c[1, 2] = P[S + 4, n] if kept else np.nan
+        c[2, 2] = P[S + 5, n] if kept else np.nan
+        c[1, 0] = c[0, 1]
+        c[2, 0] = c[0, 2]
+        c[2, 1] = c[1, 2]
+
+
+@kernel
+def _place_blocks(
+    source: Scalar, offsets: I8, moving: bool, stamp: int, way: Scalar, max_gap_ns: float, posed: bool, pose: Scalar,
+    rules: Scalar, planes: F8, why: U1, bracket: I8, points: F8, covariance: F8, reason: U1,
+) -> None:  # fmt: skip
+    number = len(points)
+    for first in range(0, number, BLOCK):
+        size = min(BLOCK, number - first)
+        read_points(source, first, size, planes)
+        if moving:
+            place_moving(planes, why, offsets, first, size, bracket, True, stamp, way, max_gap_ns, rules)
+        else:
+            place_still(planes, why, True, posed, pose, rules)
+        _write(planes, why, first, size, points, covariance, reason)
+
+
+def georeference(scan: Scan, trajectory: Trajectory, noise: Noise, limits: Limits | None = None) -> tuple[F8, F8, U1]:
+    """Place a scan in the map frame (eq. 1).
+
+    Returns points (N, 3), covariances (N, 3, 3) and reasons (N,) of `PointReason`, 0 = kept; rejected rows are NaN.
+    Rejects for the reasons ``not_finite`` to ``ceiling``; the later ones are the map's.
+    """
+    limits = limits or Limits()
+    number = len(scan.points)
+    points, covariance, reason = np.empty((number, 3)), np.empty((number, 3, 3)), np.empty(number, np.uint8)
+    way, gap = trajectory.arrays, limits.max_gap_ns
+    posed, pose = pose_at(way, gap, scan.stamp_ns)
+    _place_blocks(
+        source_of(scan.points), scan.times, scan.offsets_ns is not None, scan.stamp_ns, way, gap, posed, pose,
+        point_rules(scan, noise, limits), np.zeros((PLANES, STRIDE)), np.zeros(BLOCK, np.uint8),
+        np.zeros(BLOCK, np.int64), points, covariance, reason,
+    )  # fmt: skip
+    return points, covariance, reason

@@ -1,0 +1,1 @@
+"""What the map says: frozen readings, levels, layers, terrain, regions."""

@@ -1,0 +1,117 @@
+"""A rectangle of the map as arrays: which cells a box means, and the mosaic of layers over them."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from math import ceil, floor, isfinite
+
+from roughmap.arrays import F8
+from roughmap.cell import TILE_CELLS, TILE_SHIFT
+from roughmap.reading.frozen import Frozen
+from roughmap.reading.layers import check_limits, check_names, check_tolerance, unknown_plane
+
+Bbox = tuple[float, float, float, float]
+CellBox = tuple[int, int, int, int]
+
+MAX_CELLS = 1 << 26
+"""Half a gigabyte a layer in float64: more is asked for in pieces."""
+
+CELL_SLACK = 1e-6
+"""In cells: keeps an edge that is meant to lie on a border there, such as 0.3 / 0.1 = 2.9999999999999996."""
+
+
+class Region(Mapping[str, F8]):
+    """Layers over a rectangle of cells, by name: (ny, nx) float64, row 0 at the lowest y, column 0 at the lowest x."""
+
+    def __init__(
+        self, layers: Mapping[str, F8], *, cells: CellBox, cell_size: float, sequence: int, level: int
+    ) -> None:
+        self._layers = dict(layers)
+        self.cells = cells
+        """(i0, j0, i1, j1) of the level, half-open."""
+        self.cell_size = cell_size
+        """The side of a cell of the level, in metres."""
+        self.origin = (cells[0] * cell_size, cells[1] * cell_size)
+        """x and y of the lower-left corner, in metres."""
+        self.sequence = sequence
+        """The map's sequence that all the layers show."""
+        self.level = level
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(ny, nx)."""
+        i0, j0, i1, j1 = self.cells
+        return j1 - j0, i1 - i0
+
+    def __getitem__(self, name: str) -> F8:
+        return self._layers[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._layers)
+
+    def __len__(self) -> int:
+        return len(self._layers)
+
+
+def cell_box(bbox: Iterable[float], cell_size: float) -> CellBox:
+    """The cells (i0, j0, i1, j1), half-open, that the box (xmin, ymin, xmax, ymax) in metres covers.
+
+    From floor(xmin / s + 1e-6) up to, not including, ceil(xmax / s - 1e-6), the same along y. ValueError for a box that
+    is not four finite numbers, is empty, or covers more than 2^26 cells.
+    """
+    box = tuple(float(value) for value in bbox)
+    if len(box) != 4:
+        raise ValueError(f"the box has {len(box)} numbers; expected four: xmin, ymin, xmax, ymax in metres")
+    if not all(isfinite(value / cell_size) for value in box):
+        raise ValueError(f"the box is {box}; expected finite numbers of metres")
+    xmin, ymin, xmax, ymax = (value / cell_size for value in box)
+    i0, j0 = floor(xmin + CELL_SLACK), floor(ymin + CELL_SLACK)
+    i1, j1 = ceil(xmax - CELL_SLACK), ceil(ymax - CELL_SLACK)
+    if not (xmin < xmax and ymin < ymax):
+        raise ValueError(f"the box {box} is empty; expected xmin < xmax and ymin < ymax")
+    if not (i0 < i1 and j0 < j1):
+        raise ValueError(f"the box {box} covers no cell: it is too narrow for cells of {cell_size} m")
+    cells = (i1 - i0) * (j1 - j0)
+    if cells > MAX_CELLS:
+        raise ValueError(f"the box {box} covers {cells} cells of {cell_size} m; expected at most {MAX_CELLS}")
+    return i0, j0, i1, j1
+
+
+def tile_box(cells: CellBox) -> CellBox:
+    """The tiles (x0, y0, x1, y1), inclusive, that hold these half-open cells."""
+    i0, j0, i1, j1 = cells
+    return i0 >> TILE_SHIFT, j0 >> TILE_SHIFT, (i1 - 1) >> TILE_SHIFT, (j1 - 1) >> TILE_SHIFT
+
+
+def read_region(
+    frozen: Frozen,
+    bbox: Iterable[float],
+    names: Iterable[str],
+    height_tolerance: float = 0.05,
+    limits: Mapping[str, float] | None = None,
+) -> Region:
+    """The layers ``names`` over ``bbox`` (xmin, ymin, xmax, ymax in metres), at the level of ``frozen``.
+
+    A mosaic of tiles, whose neighbours are taken from the whole map. ValueError for what ``cell_box`` refuses, an
+    unknown layer or limit, a tolerance that is not positive, and a box that ``frozen`` does not hold.
+    """
+    names = check_names(names)
+    check_tolerance(height_tolerance)
+    check_limits(limits)
+    cells = cell_box(bbox, frozen.cell_size)
+    tiles = tile_box(cells)
+    if not frozen.covers(tiles):
+        raise ValueError(f"the box needs the tiles {tiles}; expected some within {frozen.box}")
+    i0, j0, i1, j1 = cells
+    layers = {name: unknown_plane(name, (j1 - j0, i1 - i0)) for name in names}
+    (x0, y0, x1, y1), (tx, ty) = tiles, frozen.tiles.T
+    for x, y in frozen.tiles[(tx >= x0) & (tx <= x1) & (ty >= y0) & (ty <= y1)].tolist():
+        across, columns = overlap(x, i0, i1)
+        up, rows = overlap(y, j0, j1)
+        for name, plane in frozen.tile_layers(x, y, names, height_tolerance, limits).items():
+            layers[name][up, across] = plane[rows, columns]
+    return Region(layers, cells=cells, cell_size=frozen.cell_size, sequence=frozen.sequence, level=frozen.level)
+
+
+def overlap(tile: int, first: int, end: int) -> tuple[slice, slice]:
+    """Along one axis, where a tile meets the cells [first, end): the slice of those, and the slice of the tile."""
+    low, high = max(tile * TILE_CELLS, first), min((tile + 1) * TILE_CELLS, end)
+    return slice(low - first, high - first), slice(low - tile * TILE_CELLS, high - tile * TILE_CELLS)

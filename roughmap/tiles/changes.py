@@ -1,0 +1,60 @@
+"""What counts as changed: tiles with a changed cell, and those whose one-cell ring has one, at every level."""
+
+import numpy as np
+
+from roughmap.arrays import I4, I8, U8, Scalar
+from roughmap.cell import TILE_CELLS, TILE_SHIFT
+from roughmap.jit import inline, kernel
+from roughmap.tiles.index import find, tile_key
+
+_MASK = np.int64(TILE_CELLS - 1)
+_SHIFT = np.int64(TILE_SHIFT)
+_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+
+@inline
+def _low_bits(number: Scalar) -> Scalar:
+    """A word with the lowest ``number`` (cut to 0 .. 64) bits set."""
+    if number <= 0:
+        return np.uint64(0)
+    if number >= TILE_CELLS:
+        return _ALL
+    return (np.uint64(1) << np.uint64(number)) - np.uint64(1)
+
+
+@kernel
+def mark_changed(level: int, table: I4, keys: U8, sequence: I8, tx: I4, ty: I4, bits: U8, now: int) -> None:
+    """Give sequence ``now`` to the tiles of a level that changed, or whose one-cell ring changed.
+
+    ``tx``, ``ty`` (T,), ``bits`` (T, 64): level-0 tiles with their changed cells. A neighbour's ring is what lies
+    within one cell of this level, 2^level cells of level 0, of the border between them.
+    """
+    side = np.int64(1) << level
+    for n in range(len(tx)):
+        x = np.int64(tx[n]) >> level
+        y = np.int64(ty[n]) >> level
+        # The tile's place within its ancestor, in cells of level 0; the ancestor is 64 * side of them wide.
+        left = (np.int64(tx[n]) - (x << level)) << _SHIFT
+        foot = (np.int64(ty[n]) - (y << level)) << _SHIFT
+        west = _low_bits(side - left)
+        east = ~_low_bits(_MASK * side - left)
+        inner = np.uint64(0)
+        south = np.uint64(0)
+        north = np.uint64(0)
+        for j in range(TILE_CELLS):
+            row = bits[n, j]
+            inner |= row
+            south |= row if foot + j < side else np.uint64(0)
+            north |= row if foot + j >= _MASK * side else np.uint64(0)
+        for dy in range(-1, 2):
+            band = inner
+            band = south if dy < 0 else band
+            band = north if dy > 0 else band
+            for dx in range(-1, 2):
+                hit = band
+                hit = band & west if dx < 0 else hit
+                hit = band & east if dx > 0 else hit
+                if hit != 0:
+                    entry = find(table, keys, tile_key(x + dx, y + dy))
+                    if entry >= 0:
+                        sequence[entry] = now

@@ -1,0 +1,1 @@
+"""Queries and updates: planned, read from a frozen map, drawn and sent."""

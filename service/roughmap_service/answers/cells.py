@@ -1,0 +1,81 @@
+"""Single cells, asked by place: what the map keeps of each, and what it says of it."""
+
+import numpy as np
+import numpy.typing as npt
+import zenoh
+
+from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT
+from roughmap.reading.frozen import Frozen
+from roughmap_schemas.encodings import json_encoding
+from roughmap_schemas.faults import QueryFault
+from roughmap_schemas.messages import CellAnswer, CellEntry, CellState, model_bytes
+from roughmap_schemas.reasons import QueryCode
+from roughmap_schemas.selectors import CellsQuery
+from roughmap_service.answers.tiles import INT32, TILE_AREA, Outcome, Plan, Reader, Send
+
+Cells = npt.NDArray[np.int64]
+
+ENCODING = json_encoding("CellAnswer")
+
+
+def plan_cells(reader: Reader, parameters: str, payload: zenoh.ZBytes | None) -> Plan:
+    """A query of ``maps/{map}/cells``; raises QueryFault."""
+    asked = CellsQuery.parse(parameters, b"" if payload is None else payload.to_bytes())
+    cells = _cells(asked, reader.cell_size)
+    tiles = np.unique(cells >> TILE_SHIFT, axis=0)
+    return Plan(len(tiles) * TILE_AREA, lambda send: _answer(reader, asked, cells, send))
+
+
+def _cells(asked: CellsQuery, cell_size: float) -> Cells:
+    """(N, 2): the cells i, j = floor(x / a), floor(y / a) of the places."""
+    with np.errstate(over="ignore"):  # what overflows is no int32 either
+        cells = np.floor(np.array(asked.points, np.float64).reshape(-1, 2) / cell_size)
+    outside = ~((cells >= -INT32) & (cells < INT32)).all(axis=1)
+    if outside.any():
+        place = asked.points[int(np.flatnonzero(outside)[0])]
+        raise QueryFault(QueryCode.BAD_PARAMETER, f"x, y: expected places whose cell numbers are int32; found {place}")
+    return cells.astype(np.int64)
+
+
+def _answer(reader: Reader, asked: CellsQuery, cells: Cells, send: Send) -> Outcome:
+    tolerance = reader.tolerance if asked.tolerance is None else asked.tolerance
+    limits = reader.limits if asked.limits is None else asked.limits
+    tiles = cells >> TILE_SHIFT
+    low, high = (tiles.min(axis=0), tiles.max(axis=0)) if len(tiles) else (np.zeros(2, int), np.zeros(2, int))
+    box = int(low[0]), int(low[1]), int(high[0]), int(high[1])
+    with reader.frozen([(0, box)]) as cut:
+        frozen = cut.levels[0]
+        entries: list[CellEntry | None] = [None] * len(cells)
+        distinct, which = np.unique(tiles, axis=0, return_inverse=True)
+        order = np.argsort(which.ravel(), kind="stable")
+        starts = np.searchsorted(which.ravel()[order], np.arange(len(distinct) + 1))
+        for number, (x, y) in enumerate(distinct.tolist()):
+            layers = frozen.tile_layers(x, y, asked.layers, tolerance, limits)
+            for place in order[starts[number] : starts[number + 1]].tolist():
+                i, j = cells[place].tolist()
+                row, column = j - y * TILE_CELLS, i - x * TILE_CELLS
+                entries[place] = CellEntry(
+                    x=asked.points[place][0],
+                    y=asked.points[place][1],
+                    i=i,
+                    j=j,
+                    state=_state(frozen, x, y, row, column),
+                    layers={name: float(plane[row, column]) for name, plane in layers.items()},
+                )
+    answer = CellAnswer(
+        map=reader.identity.map,
+        instance=reader.identity.instance,
+        epoch=cut.epoch,
+        sequence=cut.sequence,
+        cells=[entry for entry in entries if entry is not None],
+    )
+    send(reader.keys.cells, model_bytes(answer), ENCODING)
+    return Outcome(1, cut.sequence)
+
+
+def _state(frozen: Frozen, x: int, y: int, row: int, column: int) -> CellState | None:
+    """A cell's record; None if it was never hit."""
+    record = frozen.records(x, y)[row, column]
+    if record["count"] == 0:
+        return None
+    return CellState(**{name: record[name].item() for name in CELL_DTYPE.names or ()})

@@ -1,0 +1,274 @@
+"""What the demo does, step by step: service, rover, planner, shutdown, replay, comparison, pictures."""
+
+import json
+import re
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from roughmap_client import Region, RoughMapClient
+from roughmap_schemas.messages import MapStatus
+from roughmap_schemas.reasons import PointReason
+from roughmap_service.cli.demo.parts import QUERY_SIDE_M, Planner, RoverProcess, ServiceProcess, replay
+from roughmap_service.formats.pictures import draw
+from roughmap_service.simulation.rover import POSE_SIGMA, Rover, rovers, sensor_settings
+
+MAP = "demo"
+
+SETTLE_S = 20.0
+"""How long the last clouds may take to be decided after the rover stopped."""
+
+PICTURE_REACH_M = 26.0
+"""Half the side of what is drawn and compared, from the middle of the rover's path; it sees 25 m."""
+
+REPLAY_LINE = re.compile(r"equal: (\d+) checkpoints, sequence (\d+), digest ([0-9a-f]{32})")
+
+
+class Progress(Protocol):
+    """Who hears how the demo gets on."""
+
+    def step(self, text: str) -> None:
+        """A step begins."""
+
+    def driven(self, seconds: float) -> None:
+        """The rover has driven so long."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the demo measured; `differences` is empty if all agreed."""
+
+    seconds: float
+    robots: int
+    scans_published: int
+    scans_integrated: int
+    scans_rejected: int
+    points: int
+    points_no_return: int
+    points_rejected: int
+    points_per_s: float
+    driving_s: float
+    health: str
+    lag_p50_s: float | None
+    lag_p99_s: float | None
+    queries: int
+    query_p50_s: float | None
+    query_p99_s: float | None
+    known_cells: int
+    tiles: int
+    memory_bytes: int
+    height_error_median_m: float | None
+    height_error_p95_m: float | None
+    log_bytes: int
+    replay_s: float
+    wall_s: float
+    replay_line: str
+    differences: tuple[str, ...]
+    pictures: tuple[Path, ...]
+    log_directory: Path
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON: paths are texts, what could not be measured is None."""
+        made = asdict(self)
+        made["pictures"] = [str(picture) for picture in self.pictures]
+        made["log_directory"] = str(self.log_directory)
+        made["equal"] = not self.differences
+        return made
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The table, line by line."""
+        rejected = f", {self.scans_rejected} rejected" if self.scans_rejected else ""
+        lost = self.scans_published - self.scans_integrated - self.scans_rejected
+        dropped = f", {lost} dropped on the way" if lost else ""
+        slow = ["this machine was too slow for the rover's scans"] if self.health == "overloaded" else []
+        side = 2 * PICTURE_REACH_M
+        return [
+            ("scans", f"{self.scans_integrated} of {self.scans_published} integrated{rejected}{dropped}"),
+            ("points", f"{self.points:,} integrated, {self.points_rejected:,} rejected"),
+            ("no return", f"{self.points_no_return:,} beams met nothing within the scanner's range"),
+            ("rate", f"{self.points_per_s:,.0f} points/s over {self.driving_s:.1f} s of driving"),
+            ("scan to queryable", _told(("p50", self.lag_p50_s), ("p99", self.lag_p99_s), 1e3, "ms")),
+            (
+                f"query of {QUERY_SIDE_M:g} x {QUERY_SIDE_M:g} m",
+                f"{_told(('p50', self.query_p50_s), ('p99', self.query_p99_s), 1e3, 'ms')}; {self.queries} queries",
+            ),
+            ("map", f"{self.known_cells:,} known cells in {side:g} x {side:g} m; {self.tiles} tiles in all"),
+            (
+                "height error",
+                _told(("median", self.height_error_median_m), ("p95", self.height_error_p95_m), 100, "cm")
+                + ", to the simulated truth",
+            ),
+            ("service's memory", f"{self.memory_bytes / 2**20:.0f} MiB (RSS)"),
+            ("log", f"{self.log_bytes / 1e6:.0f} MB"),
+            ("replay", f"{self.replay_s:.1f} s"),
+            ("all of it", f"{self.wall_s:.0f} s"),
+            *(("health", text) for text in slow),
+        ]
+
+
+def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int, progress: Progress) -> Outcome:
+    """Run it all in `out`, with the configuration written to `config`."""
+    begun = time.monotonic()
+    log_directory = (out / "log").resolve()
+    start_ns = time.time_ns()
+    fleet = rovers(robots, seed, start_ns)
+    config.write_text(toml(settings(fleet[0], log_directory)))
+    with ExitStack() as stack:
+        progress.step("starting the service")
+        told = partial(progress.step, "kernels are compiled, once: this takes a minute or more")
+        service = stack.enter_context(ServiceProcess(config, out / "serve.txt", told))
+        client = stack.enter_context(RoughMapClient(MAP, connect=service.endpoints, timeout=10.0))
+        progress.step(f"the service is ready at {service.endpoints[0]}; the rover drives for {seconds:g} s")
+        driver = stack.enter_context(
+            RoverProcess(service.endpoints, seconds, robots, seed, start_ns, out / "simulate.txt")
+        )
+        with Planner(client, fleet[0]) as planner:
+            published = driver.wait(seconds + 60, progress.driven)
+        progress.step("driven; the service takes up the last scans and ends")
+        status = settled(client, published["clouds"])
+        region = client.region(picture_box(), ["mean_height", "confidence_level", "traversability"])
+        client.close()
+        exit_code = service.stop()
+    progress.step("replaying its log")
+    replay_begun = time.monotonic()
+    replay_code, replay_line = replay(log_directory, out / "replay.txt")
+    replay_s = time.monotonic() - replay_begun
+    progress.step("comparing and drawing")
+    error = height_error(fleet[0], region["mean_height"].astype(np.float64), region.origin, region.cell_size)
+    lag = planner.worst_lag or (status.lag_s.p50, status.lag_s.p99)
+    pictures = tuple(
+        _draw(out / file, region, layer, fleet, seconds)
+        for file, layer in (
+            ("height.png", "mean_height"),
+            ("confidence.png", "confidence_level"),
+            ("traversability.png", "traversability"),
+        )
+    )
+    return Outcome(
+        seconds=seconds,
+        robots=robots,
+        scans_published=published["clouds"],
+        scans_integrated=status.clouds.accepted,
+        scans_rejected=sum(status.clouds.rejected.values()),
+        points=status.points.accepted,
+        points_no_return=status.points.rejected.get(PointReason.NO_RETURN, 0),
+        points_rejected=sum(n for reason, n in status.points.rejected.items() if reason != PointReason.NO_RETURN),
+        points_per_s=status.points.accepted / published["seconds"],
+        driving_s=published["seconds"],
+        health=status.health,
+        lag_p50_s=lag[0],
+        lag_p99_s=lag[1],
+        queries=len(planner.latencies),
+        query_p50_s=_percentile(planner.latencies, 50),
+        query_p99_s=_percentile(planner.latencies, 99),
+        known_cells=error.size,
+        tiles=status.tiles.resident + status.tiles.spilled,
+        memory_bytes=status.memory_bytes,
+        height_error_median_m=_percentile(error, 50),
+        height_error_p95_m=_percentile(error, 95),
+        log_bytes=sum(file.stat().st_size for file in log_directory.glob("*.mcap")),
+        replay_s=replay_s,
+        wall_s=time.monotonic() - begun,
+        replay_line=replay_line,
+        differences=tuple(differences(status, planner, exit_code, replay_code, replay_line, error.size)),
+        pictures=pictures,
+        log_directory=log_directory,
+    )
+
+
+def settings(rover: Rover, log_directory: Path) -> dict[str, dict[str, object]]:
+    """The service's configuration: a free port, no network beyond this machine, the rover's scanner."""
+    return {
+        "map": {"name": MAP},
+        "zenoh": {"listen": ["tcp/127.0.0.1:0"], "scouting": False},
+        "input": {"pose_sigma": list(POSE_SIGMA)},
+        "sensors.lidar": sensor_settings(rover.scanner),
+        "log": {"directory": str(log_directory)},
+        "http": {"listen": ""},
+    }
+
+
+def toml(tables: Mapping[str, Mapping[str, object]]) -> str:
+    """TOML for tables of texts, finite numbers, booleans and lists: these are written as in JSON."""
+    return "\n".join(
+        f"[{table}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in rows.items())
+        for table, rows in tables.items()
+    )
+
+
+def picture_box() -> tuple[float, float, float, float]:
+    """What is asked for, drawn and compared, metres."""
+    return -PICTURE_REACH_M, -PICTURE_REACH_M, PICTURE_REACH_M, PICTURE_REACH_M
+
+
+def settled(client: RoughMapClient, published: int) -> MapStatus:
+    """The status once every published cloud is decided, or once nothing has moved for a second."""
+    deadline = time.monotonic() + SETTLE_S
+    status, since = client.status(), time.monotonic()
+    while time.monotonic() < deadline:
+        decided = status.clouds.accepted + sum(status.clouds.rejected.values())
+        still = time.monotonic() - since > 1.0 and status.clouds.waiting == 0
+        if still or (status.clouds.waiting == 0 and decided >= published):
+            break
+        time.sleep(0.1)
+        newer = client.status()
+        if newer.input != status.input or newer.sequence != status.sequence:
+            since = time.monotonic()
+        status = newer
+    return status
+
+
+def height_error(
+    rover: Rover, height: npt.NDArray[np.float64], origin: tuple[float, float], cell_size: float
+) -> npt.NDArray[np.float64]:
+    """|mean height - true height at the cell's centre| of all known cells, metres."""
+    rows, columns = np.nonzero(np.isfinite(height))
+    x, y = origin[0] + (columns + 0.5) * cell_size, origin[1] + (rows + 0.5) * cell_size
+    error: npt.NDArray[np.float64] = np.abs(height[rows, columns] - rover.ground.height(x, y))
+    return error
+
+
+def differences(
+    status: MapStatus, planner: Planner, exit_code: int, replay_code: int, replay_line: str, known: int
+) -> list[str]:
+    """Everything that should agree and doesn't."""
+    found = []
+    equal = REPLAY_LINE.fullmatch(replay_line)
+    if exit_code != 0:
+        found.append(f"the service ended with exit code {exit_code}")
+    if replay_code != 0 or equal is None:
+        found.append(f"replay ended with exit code {replay_code}: {replay_line}")
+    elif int(equal[2]) != status.sequence:
+        found.append(f"the service was at sequence {status.sequence}, its replay at {equal[2]}")
+    if status.health == "degraded":
+        found.append("the service's health is degraded: it could not write its log or its store")
+    if not known:
+        found.append("no cell is known")
+    found += [f"a query failed: {error}" for error in planner.errors[:3]]
+    return found
+
+
+def _draw(file: Path, region: Region, layer: str, fleet: Sequence[Rover], seconds: float) -> Path:
+    elapsed_ns = np.arange(0, seconds, 0.1) * 1e9
+    tracks = [rover.pose(rover.start_ns + elapsed_ns).position[:, :2] for rover in fleet]
+    draw(region, [layer], file, title=f"roughmap demo: {seconds:g} s of driving", tracks=tracks)
+    return file
+
+
+def _percentile(values: npt.ArrayLike, q: float) -> float | None:
+    array = np.asarray(values, dtype=np.float64)
+    return float(np.percentile(array, q)) if array.size else None
+
+
+def _told(first: tuple[str, float | None], second: tuple[str, float | None], factor: float, unit: str) -> str:
+    """Two figures with their names, or that there are none."""
+    return ", ".join(
+        f"{name} unknown" if value is None else f"{name} {value * factor:.1f} {unit}" for name, value in (first, second)
+    )

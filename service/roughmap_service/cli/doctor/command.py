@@ -1,0 +1,149 @@
+"""`roughmap doctor`: would a service with this configuration work here, and do the robots send what it needs?"""
+
+import json
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from roughmap_service.cli.doctor.findings import Finding, show
+from roughmap_service.cli.options import Failure, config_options, json_option, load
+
+if TYPE_CHECKING:
+    import zenoh
+
+    from roughmap_schemas.config_load import LoadedConfig
+    from roughmap_schemas.messages import MapStatus
+
+REACH_S = 2.0
+"""How long an endpoint may take to answer."""
+
+STATUS_S = 10.0
+"""How long a service that is there may take to tell its status: the machine may be busy."""
+
+
+@click.command
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0, 600),
+    default=5.0,
+    show_default=True,
+    help="Listen for so long; 0: not at all.",
+)
+@config_options
+@json_option
+def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, object], ...], as_json: bool) -> int:
+    """roughmap doctor -c roughmap.toml
+
+    Check a configuration against this machine and what comes in: directories and room, memory, clock, ports,
+    certificates, who could get in, Zenoh peers, and what the robots publish: frames, rates, per-point times, poses and
+    their covariance. Listens beside the service if it is up, else in its place. Exit 1 if anything is wrong.
+    """
+    from roughmap_service.cli.doctor import machine as doctor_machine
+    from roughmap_service.cli.doctor import security as doctor_security
+
+    loaded = load(config_path, settings)
+    config = loaded.config
+    source = str(loaded.path) if loaded.path is not None else "no file, defaults"
+    findings = [Finding("settings", "ok", f"{source}; map {config.map.name!r}")]
+    findings += doctor_machine.directories(config)
+    findings += [doctor_machine.memory(config), doctor_machine.clock()]
+    findings += doctor_security.zenoh_access(loaded)
+    findings += [found] if (found := doctor_security.http_access(config.http)) else []
+    with ExitStack() as stack:
+        session, running, told = _session(loaded, stack)
+        findings += [doctor_machine.http_port(config, running=running), *told]
+        if session is not None and seconds > 0:
+            click.echo(f"listening for {seconds:g} s ...", err=True)
+            findings += _traffic(session, loaded, seconds)
+    wrong = any(finding.verdict == "wrong" for finding in findings)
+    if as_json:
+        click.echo(json.dumps({"ok": not wrong, "findings": [finding.as_json() for finding in findings]}))
+    else:
+        show(findings)
+    return 1 if wrong else 0
+
+
+def _session(loaded: "LoadedConfig", stack: ExitStack) -> tuple["zenoh.Session | None", bool, list[Finding]]:
+    """A session that hears the robots: with the running service, else the one that the service would open."""
+    from roughmap_client import RoughMapClient
+    from roughmap_client.errors import RoughMapError
+    from roughmap_schemas.faults import ConfigFault
+    from roughmap_service.cli.connection import client_config, open_client, wants_certificate
+    from roughmap_service.cli.health import served_map
+    from roughmap_service.inputs.session import TransportError, open_session, zenoh_config
+
+    config, bare = loaded.config, False
+    try:
+        asking = client_config(loaded, ())
+        bare = wants_certificate(asking)
+        session = stack.enter_context(open_client(asking, REACH_S))
+        client = RoughMapClient(config.map.name, session=session, timeout=STATUS_S, keys=config.keys)
+        status = client.status()
+        told = f"the service is up for {status.uptime_s:.0f} s, health {status.health}; doctor listens beside it"
+        verdict = Finding("zenoh", "ok" if status.health == "ok" else "wrong", told)
+        return session, True, [verdict, *_refused(status), *_peers(loaded)]
+    except (Failure, RoughMapError, ConfigFault) as error:
+        stack.close()  # nobody is there, or somebody else
+        if config.http.listen is not None and served_map(config) == config.map.name:
+            told = f"the service is up, as http.listen says, but does not answer over Zenoh: {error}"
+            mend = "`roughmap health` says whether it still starts; if not, does it listen on this zenoh.listen?"
+            if bare:
+                told = "the service is up; doctor has no certificate to join it and to hear the robots"
+                mend = "`roughmap top --zenoh FILE` with a planner's certificate shows what comes in (SECURITY.md)"
+            return None, True, [Finding("zenoh", "note", told, mend)]
+    try:
+        session = stack.enter_context(open_session(zenoh_config(loaded)))
+    except (TransportError, ConfigFault) as error:
+        return None, False, [Finding("zenoh", "wrong", str(error), "stop what listens there, or set zenoh.listen")]
+    where = ", ".join(endpoint.partition("#")[0] for endpoint in config.zenoh.listen) or "nowhere"
+    told = f"no service is up; doctor listens in its place on {where}"
+    return session, False, [Finding("zenoh", "ok", told), *_peers(loaded)]
+
+
+def _refused(status: "MapStatus") -> list[Finding]:
+    """What the running service did not take."""
+    if not status.refused:
+        return []
+    reasons = ", ".join(f"{reason} {number}" for reason, number in status.refused.items())
+    told = f"the service refused {sum(status.refused.values())} messages since its start: {reasons}"
+    return [Finding("robots", "note", told, "its log lines `refused` name the robot and the cause")]
+
+
+def _peers(loaded: "LoadedConfig") -> list[Finding]:
+    """Each endpoint that the service is to connect to, asked by itself."""
+    from roughmap_service.cli.connection import client_config, open_client
+
+    findings = []
+    for endpoint in loaded.config.zenoh.connect:
+        shown = endpoint.partition("#")[0]
+        begun = time.monotonic()
+        try:
+            open_client(client_config(loaded, [endpoint]), REACH_S).close()
+        except Failure:
+            mend = "is the router up, the address right, the way open (firewall), and do certificates fit?"
+            findings.append(Finding("zenoh", "wrong", f"zenoh.connect: {shown} can't be reached", mend))
+        else:
+            told = f"zenoh.connect: {shown} answers, {(time.monotonic() - begun) * 1e3:.0f} ms"
+            findings.append(Finding("zenoh", "ok", told))
+    return findings
+
+
+def _traffic(session: "zenoh.Session", loaded: "LoadedConfig", seconds: float) -> list[Finding]:
+    from roughmap_schemas.keys import Keys
+    from roughmap_service.cli.doctor.robots import judge
+    from roughmap_service.cli.doctor.traffic import Traffic
+    from roughmap_service.run.settings import Settings
+
+    config = loaded.config
+    traffic = Traffic(Settings(config))
+    wall, monotonic = time.time(), time.monotonic()
+    traffic.listen(session, Keys(config.map.name, config.keys), seconds)
+    findings = judge(traffic, config, seconds)
+    stepped = (time.time() - wall) - (time.monotonic() - monotonic)
+    if abs(stepped) > 0.1:  # slewing stays far below a millisecond a second
+        told = f"this machine's clock was set by {stepped:+.2f} s while doctor listened"
+        findings.append(Finding("clock", "wrong", told, "let one program alone set it, by slewing"))
+    return findings

@@ -1,0 +1,1 @@
+"""A file a format, in and out: point clouds, recorded scans, pictures."""

@@ -1,0 +1,1 @@
+"""The HTTP server: its pages, who may read them, and its limits."""

@@ -1,0 +1,176 @@
+"""From Zenoh's threads to the sequencer: what is let in, and what is dropped when too much comes."""
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import islice
+
+from roughmap_schemas import MessageFault, Refusal
+from roughmap_schemas.kinds import Kind
+from roughmap_service.host.counters import Counters
+from roughmap_service.inputs.receipts import IngestReply
+from roughmap_service.run.duplicates import Duplicates, Identity
+
+log = logging.getLogger(__name__)
+
+LEAST_COST = 256
+"""Bytes that a queued cloud counts for at least: an empty one costs memory too."""
+
+
+@dataclass(slots=True)
+class InputMessage:
+    """An input that passed the checks on its key, encoding and size, not yet decoded."""
+
+    kind: Kind
+    robot: str
+    payload: bytes
+    received_ns: int
+    arrival: float
+    reply: IngestReply | None = None
+    identity: Identity = field(init=False)
+    """What tells it from others. Made by Zenoh's thread, which has the bytes at hand: the sequencer would wait for them
+    as long as for a seventh of the cloud's integration."""
+
+    def __post_init__(self) -> None:
+        self.identity = Duplicates.identity(self.robot, self.kind, self.payload)
+
+
+Command = Callable[[], None]
+"""Something that is to be done between two inputs, in the sequencer's thread."""
+
+
+TURN_MESSAGES = 512
+"""So many messages are taken at a time, of each robot as many as of the others, if more are there: what one floods with
+holds up nobody else for longer than these take, a tenth of a second."""
+
+
+@dataclass
+class _Held:
+    """What one robot has queued, by number; bytes of its clouds; numbers of its published clouds and of its poses."""
+
+    items: dict[int, InputMessage] = field(default_factory=dict)
+    size: int = 0
+    clouds: deque[int] = field(default_factory=deque)
+    poses: deque[int] = field(default_factory=deque)
+
+    def take(self, most: int) -> list[tuple[int, InputMessage]]:
+        """The first ``most``, taken out."""
+        taken = list(islice(self.items.items(), most))
+        for number, message in taken:
+            del self.items[number]
+            if message.kind is Kind.POINTS:
+                self.size -= _cost(message)
+            for numbers in (self.clouds, self.poses):
+                if numbers and numbers[0] == number:
+                    numbers.popleft()
+        return taken
+
+
+@dataclass
+class Intake:
+    """A bounded queue, so that whoever floods it drops what is its own.
+
+    When clouds fill it, the oldest published one of the robot that holds most is dropped, and an ingested one is
+    answered ``busy`` instead; when poses and transforms do, the newest of the robot that holds most of these. No pose
+    is ever dropped for a cloud's sake.
+    """
+
+    limit: int
+    counters: Counters
+    pose_limit: int = 10_000
+    _commands: deque[Command] = field(default_factory=deque)
+    _robots: dict[str, _Held] = field(default_factory=dict)
+    _number: int = 0
+    _wake: threading.Condition = field(default_factory=threading.Condition)
+    closed: bool = False
+
+    @property
+    def held(self) -> int:
+        """Bytes of the clouds that are queued."""
+        with self._wake:
+            return self._size()
+
+    def put(self, message: InputMessage) -> None:
+        """Queue a message, or drop one and count it."""
+        with self._wake:
+            dropped = self._admit(message)
+            self._wake.notify()
+        for refused in dropped:
+            code = Refusal.SHUTTING_DOWN if self.closed else Refusal.BUSY
+            self.counters.refuse(code)
+            if refused.reply is not None:
+                refused.reply.refuse(MessageFault(code, "the service is ending" if self.closed else "try again"))
+
+    def command(self, command: Command) -> None:
+        """Queue something to be done in the sequencer's thread."""
+        with self._wake:
+            self._commands.append(command)
+            self._wake.notify()
+
+    def take(self, timeout: float) -> tuple[list[InputMessage], list[Command], float]:
+        """What is queued, at most `TURN_MESSAGES`, after waiting at most ``timeout`` s for something; and the monotonic
+        time up to which all that arrived has been taken."""
+        with self._wake:
+            self._wake.wait_for(lambda: self._robots or self._commands or self.closed, timeout)
+            commands = list(self._commands)
+            self._commands.clear()
+            share = max(TURN_MESSAGES, sum(len(held.items) for held in self._robots.values()))
+            if share > TURN_MESSAGES:
+                share = TURN_MESSAGES // len(self._robots) or 1
+            taken = sorted(item for held in self._robots.values() for item in held.take(share))
+            self._robots = {robot: held for robot, held in self._robots.items() if held.items}
+            left = [next(iter(held.items.values())).arrival for held in self._robots.values()]
+            return [message for _, message in taken], commands, min(left, default=time.monotonic())
+
+    def close(self) -> None:
+        """Let nothing more in; what is queued can still be taken."""
+        with self._wake:
+            self.closed = True
+            self._wake.notify()
+
+    def _admit(self, message: InputMessage) -> list[InputMessage]:
+        """Take the message in; returns those that had to go."""
+        if self.closed:
+            return [message]
+        if message.kind is not Kind.POINTS:
+            self._queue(message).poses.append(self._number)
+            if sum(len(held.poses) for held in self._robots.values()) <= self.pose_limit:
+                return []
+            held = max(self._robots.values(), key=lambda held: len(held.poses))
+            return [held.items.pop(held.poses.pop())]
+        dropped: list[InputMessage] = []
+        while self._size() + _cost(message) > self.limit and self._size():
+            oldest = None if message.reply is not None else self._drop_of_the_largest()
+            if oldest is None:
+                return [*dropped, message]
+            dropped.append(oldest)
+        held = self._queue(message)
+        held.size += _cost(message)
+        if message.reply is None:
+            held.clouds.append(self._number)
+        return dropped
+
+    def _size(self) -> int:
+        return sum(held.size for held in self._robots.values())
+
+    def _queue(self, message: InputMessage) -> _Held:
+        self._number += 1
+        held = self._robots.setdefault(message.robot, _Held())
+        held.items[self._number] = message
+        return held
+
+    def _drop_of_the_largest(self) -> InputMessage | None:
+        """The oldest published cloud of the robot that holds most, taken out; None where all are ingested ones."""
+        held = max((held for held in self._robots.values() if held.clouds), key=lambda held: held.size, default=None)
+        if held is None:
+            return None
+        oldest = held.items.pop(held.clouds.popleft())
+        held.size -= _cost(oldest)
+        return oldest
+
+
+def _cost(message: InputMessage) -> int:
+    return max(len(message.payload), LEAST_COST)

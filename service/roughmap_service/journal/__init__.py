@@ -1,0 +1,1 @@
+"""The recorded run, in MCAP files: written, read, repaired and trimmed."""

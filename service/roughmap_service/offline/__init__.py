@@ -1,0 +1,1 @@
+"""Work on a recorded run without a service: replay and what-if."""

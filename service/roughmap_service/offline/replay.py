@@ -1,0 +1,192 @@
+"""A run once more: integrates a log again, as its events say, and compares with what was logged."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from dataclasses import replace as with_values
+from pathlib import Path
+
+from roughmap_schemas import CheckpointEvent, CloudReason, Config, Event, IntegrationEvent, configuration_digest
+from roughmap_service.journal.reader import (
+    EventRecord,
+    FileStart,
+    LogError,
+    LogItem,
+    RunFile,
+    find_files,
+    one_run,
+    read_run,
+)
+from roughmap_service.run.apply import RunError, RunState
+from roughmap_service.run.fold import Step, fold
+from roughmap_service.run.inbox import INTEGRATED
+from roughmap_service.run.settings import Settings, new_map
+from roughmap_service.store.map_db import Store
+
+
+class ReplayError(Exception):
+    """These logs can't be replayed as asked; one line. Exit 2."""
+
+
+@dataclass
+class Replayed:
+    """A replay's end. ``difference`` is None where all that was compared is equal; ``config`` is the last file's."""
+
+    run: str
+    config: Config
+    state: RunState
+    checkpoints: int = 0
+    events: int = 0
+    difference: str | None = None
+
+    @property
+    def verdict(self) -> str:
+        """The last line on stdout."""
+        if self.difference is not None:
+            return f"differs at {self.difference}"
+        rough_map = self.state.map
+        return f"equal: {self.checkpoints} checkpoints, sequence {rough_map.sequence}, digest {rough_map.digest()}"
+
+
+Watch = Callable[[Step], None]
+
+
+def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watch | None = None) -> Replayed:
+    """Integrate the logs again and compare each event and checkpoint; ends at the first difference.
+
+    ``from_store`` is the map.db at whose cut the logs begin, where they don't begin with the run. LogError or
+    ReplayError where the logs are no whole run. An event that can't be done at its place of the log is a difference.
+    """
+    files = one_run(find_files(paths))
+    config = config_of(files[0])
+    state = RunState(Settings(config), new_map(config))
+    taken, low_water = _begin(files, state, from_store)
+    result = Replayed(files[0].metadata.run, config, state)
+    reached: LogItem | None = None
+
+    def items() -> Iterator[LogItem]:
+        nonlocal reached
+        for reached in read_run(files):  # noqa: UP028 - it is also what a RunError is about
+            yield reached
+
+    try:
+        for step in fold(state, items(), taken=taken, low_water=low_water):
+            result.difference = _compare(step, state, taken)
+            if result.difference is not None:
+                return result
+            if isinstance(step.item, FileStart):
+                result.config = step.item.config
+            elif isinstance(step.item, EventRecord):
+                result.events += 1
+                result.checkpoints += isinstance(step.item.event, CheckpointEvent)
+            if watch is not None:
+                watch(step)
+    except RunError as error:
+        sequence = reached.event.sequence if isinstance(reached, EventRecord) else state.map.sequence
+        result.difference = f"sequence {sequence}: {error}"
+        return result
+    if from_store is not None and state.record == taken:
+        raise ReplayError(
+            f"{from_store} holds all of this log already (sequence {state.map.sequence}): nothing is left to compare; "
+            "replay without --from compares the whole run"
+        )
+    if not result.checkpoints:
+        raise ReplayError("the logs hold no checkpoint to compare with")
+    return result
+
+
+def what_if(
+    paths: Sequence[Path],
+    change: Callable[[Config], Config] = lambda config: config,
+    *,
+    watch: Callable[[Step, RunState], None] | None = None,
+) -> RunState:
+    """Integrate the logs again with the poses that the events name, each file under what ``change`` makes of its
+    settings; nothing is compared. Errors as `replay`, and RunError where an event can't be done under the settings."""
+    files = one_run(find_files(paths))
+    config = change(config_of(files[0]))
+    state = RunState(Settings(config), new_map(config))
+    _begin(files, state, None)
+
+    def items() -> Iterator[LogItem]:
+        for item in read_run(files):
+            yield _anew(item, change)
+
+    for step in fold(state, items()):
+        if watch is not None:
+            watch(step, state)
+    return state
+
+
+def _anew(item: LogItem, change: Callable[[Config], Config]) -> LogItem:
+    """An item of the log as it is taken under other settings: what was refused for its tiles is placed again."""
+    if isinstance(item, FileStart):
+        return with_values(item, config=change(item.config))
+    if isinstance(item, EventRecord) and isinstance(event := item.event, IntegrationEvent):
+        outcome = INTEGRATED if event.outcome == CloudReason.TOO_MANY_TILES else event.outcome
+        return with_values(item, event=event.model_copy(update={"outcome": outcome}))
+    return item
+
+
+def config_of(file: RunFile) -> Config:
+    """The settings with which a file begins; LogError if they can't be read."""
+    try:
+        return Config.model_validate(file.metadata.configuration)
+    except ValueError as error:
+        raise LogError(f"{file.path}: its configuration can't be read: {str(error).splitlines()[0]}") from None
+
+
+def _begin(files: Sequence[RunFile], state: RunState, from_store: Path | None) -> tuple[int, int]:
+    """Bring the state to where the logs begin; returns the record and the low-water input from which they count."""
+    first = files[0].metadata
+    if from_store is None:
+        if first.base_sequence or first.first_record > 1:
+            raise ReplayError(
+                f"{files[0].path.name} begins at record {first.first_record} (sequence {first.base_sequence}), not "
+                "where the run does: give the map.db that it goes on from (--from map.db), or the files before it"
+            )
+        return 0, 1
+    store = Store(from_store)
+    cut = store.read_cut()
+    if cut is None:
+        raise ReplayError(f"{from_store}: no map is stored there")
+    if cut.run != first.run:
+        raise ReplayError(f"{from_store} is of run {cut.run[:8]}, the logs are of run {first.run[:8]}")
+    if cut.record + 1 < first.first_record:
+        raise ReplayError(f"gap: {from_store} ends at record {cut.record}, the logs begin at {first.first_record}")
+    if first.first_input > cut.low_water:
+        raise ReplayError(
+            f"gap: the logs begin at input {first.first_input}, and {from_store} waits for input {cut.low_water}"
+        )
+    if cut.configuration_digest != configuration_digest(state.settings.config):
+        raise ReplayError(f"{from_store} and the logs hold maps of other settings ([map])")
+    store.load_into(state.map, cut)
+    state.epoch, state.input, state.record = cut.epoch, cut.input, cut.record
+    for robot, buffer in cut.poses.items():
+        state.buffer(robot).load_state(buffer)
+    return cut.record, cut.low_water
+
+
+def _compare(step: Step, state: RunState, taken: int) -> str | None:
+    """What differs between a step and the log, None if nothing does."""
+    item = step.item
+    if isinstance(item, FileStart):
+        base = item.metadata
+        if base.first_record <= taken or not base.base_digest:
+            return None
+        found = state.map.sequence, state.map.digest()
+        if found != (base.base_sequence, base.base_digest):
+            logged = f"{base.base_sequence}, {base.base_digest}"
+            return f"sequence {found[0]}: {item.path.name} begins with {logged}; found {found[1]}"
+    if isinstance(item, EventRecord) and step.outcome != item.event:
+        return _difference(item.event, step.outcome)
+    return None
+
+
+def _difference(logged: Event, found: Event | None) -> str:
+    there, here = logged.model_dump(mode="json"), {} if found is None else found.model_dump(mode="json")
+    parts = [
+        f"{name} {value!r} in the log, {here.get(name)!r} now"
+        for name, value in there.items()
+        if here.get(name) != value
+    ]
+    return f"sequence {logged.sequence} ({logged.kind}): {'; '.join(parts)}"

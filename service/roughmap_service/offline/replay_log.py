@@ -1,0 +1,100 @@
+"""A replay's own log: the same inputs, and the events as they came out this time."""
+
+import errno
+import time
+import uuid
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from roughmap_schemas import Config, Keys, RunMetadata, encode_event
+from roughmap_schemas.kinds import Kind
+from roughmap_service.journal.file import LogRecord
+from roughmap_service.journal.reader import FileStart, InputRecord
+from roughmap_service.journal.writer import LogWriter
+from roughmap_service.run.apply import RunState
+from roughmap_service.run.fold import Step
+
+CLOSE_SECONDS = 60.0
+"""How long the last bytes may take to the disk; nobody waits for anything else then."""
+
+ROOM_SECONDS = 60.0
+"""How long a disk may take to catch up before the replay gives up."""
+
+
+def check_empty(directory: Path) -> None:
+    """FileExistsError if the directory holds anything: a run's log is told from others by its folder."""
+    if directory.exists() and any(directory.iterdir()):
+        raise FileExistsError(errno.EEXIST, "is not empty; name an empty or a new folder", str(directory))
+
+
+class ReplayLog:
+    """Writes what a replay does as a new run into an empty or new directory; a context manager.
+
+    Where the replayed log began a file, perhaps under other settings, this one does too.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        check_empty(directory)
+        directory.mkdir(parents=True, exist_ok=True)
+        self._directory = directory
+        self._run = uuid.uuid4().hex
+        self._writer: LogWriter | None = None
+        self._keys = Keys("site")
+
+    def take(self, step: Step, state: RunState) -> None:
+        """Write one step, after which the run is as ``state`` says."""
+        item = step.item
+        if isinstance(item, FileStart):
+            self._begin(item.config, state)
+            return
+        writer = self._writer
+        if writer is None:  # every log begins with its first file's FileStart
+            return
+        if isinstance(item, InputRecord):
+            topic = self._keys.form(item.kind).make(robot=item.robot)
+            record = LogRecord(item.kind, topic, item.payload, item.received_ns, item.stamp_ns, item.number)
+        elif step.outcome is not None:
+            record = LogRecord(
+                Kind.EVENTS, self._keys.events, encode_event(step.outcome), item.received_ns, item.received_ns,
+                epoch=step.outcome.epoch, sequence=step.outcome.sequence,
+            )  # fmt: skip
+        else:
+            return
+        if not writer.wait_room(ROOM_SECONDS):
+            raise OSError(errno.EIO, writer.error or "the disk does not keep up", str(writer.path))
+        writer.put(record)
+
+    def _begin(self, config: Config, state: RunState) -> None:
+        self._end()
+        self._keys = Keys(config.map.name, config.keys)
+        metadata = RunMetadata(
+            run=self._run,
+            created_ns=time.time_ns(),
+            epoch=state.epoch,
+            index=0 if self._writer is None else self._writer.index + 1,
+            first_input=state.input + 1,
+            first_record=state.record + 1,
+            base_sequence=state.map.sequence,
+            base_digest=state.map.digest(),
+            version=version("roughmap"),
+            configuration=config.public_dict(),
+        )
+        self._writer = LogWriter(self._directory, metadata, compression=config.log.compression)
+
+    def _end(self) -> None:
+        if self._writer is not None and not self._writer.close(CLOSE_SECONDS):
+            raise OSError(errno.EIO, self._writer.error or "the log could not be closed", str(self._writer.path))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._end()
+        except OSError:
+            if error is None:
+                raise

@@ -1,0 +1,56 @@
+"""The messages that a run has already logged, so that one sent twice enters it once."""
+
+import logging
+from collections import OrderedDict
+from collections.abc import Iterable
+
+import xxhash
+
+from roughmap_schemas.kinds import Kind
+
+log = logging.getLogger(__name__)
+
+
+Identity = tuple[str, str, str]
+"""Robot, kind and hash of a message."""
+
+
+class Duplicates:
+    """The last messages by robot, kind and the 128-bit hash of their bytes, each with the input number it got.
+
+    Past the limit the oldest of the robot that has most is forgotten: who sends very many has no other's forgotten.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._number = 0
+        self._seen: dict[str, OrderedDict[Identity, int]] = {}
+
+    @staticmethod
+    def identity(robot: str, kind: Kind, payload: bytes) -> Identity:
+        """What makes two messages the same one."""
+        return robot, kind.value, xxhash.xxh3_128_hexdigest(payload)
+
+    def find(self, identity: Identity) -> int | None:
+        """The input number of that message, None if it is not among the last ones."""
+        of = self._seen.get(identity[0])
+        return None if of is None else of.get(identity)
+
+    def add(self, identity: Identity, number: int) -> None:
+        """Remember a message as the newest, and forget one past the limit."""
+        of = self._seen.setdefault(identity[0], OrderedDict())
+        self._number += of.pop(identity, None) is None
+        of[identity] = number
+        while self._number > self._limit:
+            max(self._seen.values(), key=len).popitem(last=False)
+            self._number -= 1
+
+    def to_state(self) -> list[tuple[str, str, str, int]]:
+        """All, oldest first."""
+        seen = [(*identity, number) for of in self._seen.values() for identity, number in of.items()]
+        return sorted(seen, key=lambda one: one[3])
+
+    def load_state(self, state: Iterable[tuple[str, str, str, int]]) -> None:
+        """The inverse of `to_state`."""
+        for robot, kind, digest, number in state:
+            self.add((robot, kind, digest), number)

@@ -1,0 +1,112 @@
+"""The configuration, unpacked once into the plain values that decide what becomes of the inputs."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from roughmap import Limits, Noise, RoughMap
+from roughmap.tiles.shelf import Shelf
+from roughmap_schemas import Config, SensorConfig
+
+NS = 1_000_000_000
+
+LARGEST_SIGMA = 1e100
+"""Sigmas beyond it, which say no more, count as this one, whose square is still a number."""
+
+LONGEST_HISTORY = float(1 << 32)
+"""All stamps lie within so many seconds; more of them may be no number of nanoseconds."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A sensor as the core takes it: where it sits in the robot, its noise, and which of its points are kept."""
+
+    translation: tuple[float, float, float]
+    rotation: tuple[float, float, float, float]
+    noise: Noise
+    limits: Limits
+
+
+class Settings:
+    """What of the configuration bears on poses, decisions and integration."""
+
+    def __init__(self, config: Config) -> None:
+        inputs = config.input
+        self.config = config
+        self.frame_id = config.map.frame_id
+        self.max_wait = inputs.max_wait
+        self.max_pose_gap = inputs.max_pose_gap
+        self.max_pose_gap_ns = Limits(max_pose_gap=inputs.max_pose_gap).max_gap_ns
+        self.history_ns = round(min(inputs.pose_history, LONGEST_HISTORY) * NS)
+        self.max_speed = inputs.max_speed
+        self.max_turn = inputs.max_turn
+        self.queue_limit = inputs.queue_limit
+        self.max_robots = inputs.max_robots
+        self.max_poses = inputs.max_poses
+        self.max_transforms = inputs.max_transforms
+        self.max_new_tiles = config.map.max_new_tiles
+        self.max_tiles = config.map.max_tiles
+        pose_sigma = np.minimum(np.array(inputs.pose_sigma, np.float64), LARGEST_SIGMA)
+        placed_sigma = min(inputs.placed_sigma, LARGEST_SIGMA)
+        self.pose_covariance: npt.NDArray[np.float64] = np.diag(pose_sigma**2)
+        self.placed_covariance: npt.NDArray[np.float64] = np.eye(3) * (placed_sigma * placed_sigma)
+        # A transform that moves by more than three sigmas of a pose is a correction, not drift.
+        self.jump_m = 3.0 * max(inputs.pose_sigma[:3])
+        self.jump_rad = 3.0 * max(inputs.pose_sigma[3:])
+        self._sensors: dict[tuple[str, str], Sensor | None] = {}
+
+    def sensor(self, robot: str, frame_id: str) -> Sensor | None:
+        """The sensor of that frame on that robot; None if none is configured."""
+        key = (robot, frame_id)
+        if key not in self._sensors:
+            found = self.config.sensor(robot, frame_id)
+            if found is None:
+                return None  # not kept: frames that nobody configured come from outside and have no bound
+            self._sensors[key] = _sensor(found, self.max_pose_gap)
+        return self._sensors[key]
+
+
+def _sensor(config: SensorConfig, max_pose_gap: float) -> Sensor:
+    return Sensor(
+        translation=config.translation,
+        rotation=config.rotation,
+        noise=Noise(
+            range_sigma=config.range_sigma,
+            range_sigma_per_m=config.range_sigma_per_m,
+            beam_sigma=config.beam_sigma,
+            mount_sigma=config.mount_sigma if any(config.mount_sigma) else None,
+        ),
+        limits=Limits(
+            min_range=config.min_range,
+            max_range=config.max_range,
+            ceiling=config.ceiling,
+            ceiling_slope=config.ceiling_slope,
+            max_pose_gap=max_pose_gap,
+            exclude=tuple(config.exclude),
+        ),
+    )
+
+
+CACHE_SHARE = 1 / 16
+"""Part of the memory limit that merged tiles, kept for readers, may take."""
+
+
+def new_map(config: Config, shelf: Shelf | None = None) -> RoughMap:
+    """An empty map with the configuration's identity."""
+    m = config.map
+    rough_map = RoughMap(
+        cell_size=m.cell_size,
+        error_model=m.error_model,
+        coverage=m.coverage,
+        min_radius=m.min_radius,
+        min_distance=m.min_distance,
+        min_share=m.min_share,
+        max_horizontal_radius=m.max_horizontal_radius,
+        bounds=m.bounds,
+        levels=m.levels,
+        threads=config.service.threads or None,
+        shelf=shelf,
+    )
+    rough_map.limit_cache(int(m.memory_limit * CACHE_SHARE))
+    return rough_map

@@ -1,0 +1,1 @@
+"""A simulated rover, and the playing of recorded scans."""

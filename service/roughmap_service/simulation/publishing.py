@@ -1,0 +1,178 @@
+"""Puts a rover's messages on the network at the pace at which they came to be."""
+
+import heapq
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import zenoh
+
+from roughmap_schemas.encodings import ODOMETRY, POINT_CLOUD
+from roughmap_schemas.keys import TEMPLATES
+from roughmap_service.simulation.rover import Kind, Message
+
+AHEAD = 64
+"""Messages made ahead of time: a second or so, so that making a sweep never delays a pose."""
+
+NANOSECONDS = 1_000_000_000
+
+ENCODINGS: dict[Kind, str] = {"points": POINT_CLOUD, "odometry": ODOMETRY}
+
+
+@dataclass
+class Published:
+    """What was put on the network so far; `late_s` is how far the pace was missed at worst."""
+
+    clouds: int = 0
+    poses: int = 0
+    bytes: int = 0
+    last_stamp_ns: int = 0
+    late_s: float = 0.0
+
+
+class NobodyListens(Exception):
+    """No service subscribes to the robot's clouds within the time given."""
+
+
+class RoverPublisher:
+    """Publishers for some robots on one session; a context manager.
+
+    `patient` chooses what happens when the network can't keep up, for clouds and poses alike. A live robot drops
+    (congestion control DROP: the next scan is better than an old one, the service counts the gap from
+    `message_seq`). A recording waits (BLOCK): nothing is lost by waiting, unless a peer hangs for seconds.
+    """
+
+    def __init__(self, session: zenoh.Session, robots: Iterable[str], *, patient: bool = False) -> None:
+        control = zenoh.CongestionControl.BLOCK if patient else zenoh.CongestionControl.DROP
+        self.published = Published()
+        self._sequence: dict[tuple[str, Kind], int] = {}
+        self._publishers: dict[tuple[str, Kind], zenoh.Publisher] = {}
+        for robot in robots:
+            for kind, encoding in ENCODINGS.items():
+                self._sequence[robot, kind] = 0
+                self._publishers[robot, kind] = session.declare_publisher(
+                    TEMPLATES[kind].format(robot=robot),
+                    encoding=encoding,
+                    congestion_control=control,
+                    # A pose is small, and a cloud waits for it: poses overtake.
+                    priority=zenoh.Priority.DATA_HIGH if kind == "odometry" else zenoh.Priority.DATA,
+                )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for publisher in self._publishers.values():
+            publisher.undeclare()
+
+    def wait_for_listeners(self, seconds: float) -> None:
+        """Wait until somebody subscribes to every robot's clouds and poses; NobodyListens after `seconds`."""
+        deadline = time.monotonic() + seconds
+        for publisher in self._publishers.values():
+            heard = threading.Event()
+
+            def on_change(status: zenoh.MatchingStatus, heard: threading.Event = heard) -> None:
+                if status.matching:
+                    heard.set()
+
+            listener = publisher.declare_matching_listener(on_change)
+            try:
+                if not _is_heard(publisher) and not heard.wait(max(0.0, deadline - time.monotonic())):
+                    raise NobodyListens(f"nobody subscribes to {publisher.key_expr} within {seconds:g} s")
+            finally:
+                listener.undeclare()
+
+    def put(self, message: Message) -> None:
+        """Publish one message with its `message_seq` (8 bytes, little-endian, counted for each key)."""
+        number = self._sequence[message.robot, message.kind]
+        self._publishers[message.robot, message.kind].put(message.payload, attachment=number.to_bytes(8, "little"))
+        self._sequence[message.robot, message.kind] = number + 1
+        self.published.clouds += message.kind == "points"
+        self.published.poses += message.kind == "odometry"
+        self.published.bytes += len(message.payload)
+        self.published.last_stamp_ns = max(self.published.last_stamp_ns, message.stamp_ns)
+
+    def play(
+        self,
+        messages: Iterable[Message],
+        *,
+        rate: float = 1.0,
+        stop: threading.Event | None = None,
+        on_put: Callable[[Published], None] | None = None,
+    ) -> Published:
+        """Publish all `messages`, each when it is due, `rate` times as fast as they came to be; `rate` 0: at once.
+
+        Ends early when `stop` is set. Messages are made in a thread of their own, ahead of time.
+        """
+        stop = threading.Event() if stop is None else stop
+        begun: float | None = None
+        first_ns = 0
+        for message in _ahead(messages, stop):
+            if begun is None:
+                begun, first_ns = time.monotonic(), message.due_ns
+            if rate > 0:
+                late = time.monotonic() - begun - (message.due_ns - first_ns) / NANOSECONDS / rate
+                if late < 0 and stop.wait(-late):
+                    break
+                self.published.late_s = max(self.published.late_s, late)
+            self.put(message)
+            if on_put is not None:
+                on_put(self.published)
+        return self.published
+
+
+def _is_heard(publisher: zenoh.Publisher) -> bool:
+    """Whether somebody subscribes; the type stubs say bool, the library gives an object that holds it."""
+    return bool(getattr(publisher.matching_status, "matching", publisher.matching_status))
+
+
+def merged(streams: Iterable[Iterator[Message]]) -> Iterator[Message]:
+    """The messages of several robots in the order in which they are due."""
+    return heapq.merge(*streams, key=lambda message: message.due_ns)
+
+
+def _ahead(messages: Iterable[Message], stop: threading.Event) -> Iterator[Message]:
+    """`messages`, made in another thread up to `AHEAD` before they are wanted."""
+    made: queue.Queue[Message | BaseException | None] = queue.Queue(AHEAD)
+    done = threading.Event()
+
+    def offer(item: Message | BaseException | None) -> bool:
+        while not (stop.is_set() or done.is_set()):
+            try:
+                made.put(item, timeout=0.1)
+            except queue.Full:
+                continue
+            return True
+        return False
+
+    def make() -> None:
+        try:
+            for message in messages:
+                if not offer(message):
+                    return
+            offer(None)
+        except BaseException as error:  # noqa: BLE001  # it is raised again where the messages are wanted
+            offer(error)
+
+    maker = threading.Thread(target=make, name="rover", daemon=True)
+    maker.start()
+    try:
+        while not stop.is_set():
+            try:
+                item = made.get(timeout=0.1)
+            except queue.Empty:
+                continue
+            if item is None:
+                return
+            if isinstance(item, BaseException):
+                raise item
+            yield item
+    finally:
+        done.set()
+        maker.join()

@@ -1,0 +1,166 @@
+"""A rover over synthetic ground: what its scanner and its localisation would publish, with the truth known.
+
+The same seed, start and settings give the same messages. The rover drives a figure of eight, in 36 seconds at its
+default speed; its body lies on the ground under its wheels (roll, pitch and height follow the terrain), and its scanner
+turns while it moves, so every column of a sweep is seen from another pose. What localisation says wanders about the
+true pose by the covariance that it states.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from roughmap_schemas.cloud import encode_cloud
+from roughmap_schemas.odometry import encode_odometry
+from roughmap_service.run.pose_algebra import multiply
+from roughmap_service.simulation.ground import PATH_HALF_LENGTH, PATH_HALF_WIDTH, Ground, path
+from roughmap_service.simulation.rotations import of_matrix, of_vector
+from roughmap_service.simulation.scanner import NANOSECONDS, Scanner
+
+Floats = npt.NDArray[np.float64]
+
+Kind = Literal["points", "odometry"]
+
+SENSOR_FRAME = "lidar"
+BODY_FRAME = "base"
+MAP_FRAME = "map"
+
+MOUNT = (0.25, 0.0, 1.05)
+"""The scanner in the robot's frame, metres; its axes are the robot's."""
+
+FOOTPRINT_X, FOOTPRINT_Y = np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.35, 0.35, 7))
+"""Where the body rests: a plane through the ground's height at these points, metres in the robot's axes."""
+
+ODOMETRY_HZ = 50
+
+WANDER_SECONDS = 2.0
+"""How long localisation keeps an error: the correlation time of its wandering."""
+
+POSE_SIGMA = (0.02, 0.02, 0.01, 0.002, 0.002, 0.002)
+"""Standard deviation of what localisation says: metres and radians, about the map's axes."""
+
+
+class Message(NamedTuple):
+    """One message to publish: `payload` of `kind` for `robot`, which exists from `due_ns` on (a sweep: at its end)."""
+
+    stamp_ns: int
+    kind: Kind
+    payload: bytes
+    robot: str
+    due_ns: int
+
+
+class Pose(NamedTuple):
+    """True poses of the robot's base in the map: `position` (N, 3) metres, `rotation` (N, 3, 3)."""
+
+    position: Floats
+    rotation: Floats
+
+
+@dataclass
+class Rover:
+    """One robot. `phase` (0 to 1) is where on the figure of eight it starts; robots of one run share the ground."""
+
+    ground: Ground
+    name: str = "rover1"
+    seed: int = 1
+    phase: float = 0.0
+    speed: float = 2.1
+    scanner: Scanner = field(default_factory=Scanner)
+    start_ns: int = 1_700_000_000 * NANOSECONDS
+
+    def pose(self, stamp_ns: npt.ArrayLike) -> Pose:
+        """The true pose at any stamps (N,)."""
+        seconds = (np.asarray(stamp_ns, dtype=np.int64) - self.start_ns) / NANOSECONDS
+        # The mean speed over the figure of eight; it is slower in the bends.
+        angle = 2 * np.pi * self.phase + seconds * self.speed / np.hypot(PATH_HALF_LENGTH, 2 * PATH_HALF_WIDTH) * 1.38
+        x, y = path(angle)
+        heading = np.arctan2(2 * PATH_HALF_WIDTH * np.cos(2 * angle), PATH_HALF_LENGTH * np.cos(angle))
+        c, s = np.cos(heading)[:, None, None], np.sin(heading)[:, None, None]
+        height = self.ground.height(
+            x[:, None, None] + c * FOOTPRINT_X - s * FOOTPRINT_Y, y[:, None, None] + s * FOOTPRINT_X + c * FOOTPRINT_Y
+        )
+        # Least squares over a symmetric grid: the three unknowns part, each is a weighted mean.
+        along = (height * FOOTPRINT_X).sum((1, 2)) / (FOOTPRINT_X**2).sum()
+        aside = (height * FOOTPRINT_Y).sum((1, 2)) / (FOOTPRINT_Y**2).sum()
+        c, s = c[:, 0, 0], s[:, 0, 0]
+        forward = _unit(np.stack([c, s, along], -1))
+        up = _unit(np.cross(np.stack([c, s, along], -1), np.stack([-s, c, aside], -1)))
+        rotation = np.stack([forward, np.cross(up, forward), up], -1)
+        return Pose(np.stack([x, y, height.mean((1, 2))], -1), rotation)
+
+    def messages(self, duration: float) -> Iterator[Message]:
+        """All messages of `duration` seconds, in the order in which they come to be (`due_ns`)."""
+        scan_rng = np.random.default_rng([self.seed, 0x5CA7])
+        odometry = self._odometry(duration)
+        pending = next(odometry, None)
+        for k in range(int(duration * self.scanner.rate_hz)):
+            cloud = self._scan(self.start_ns + k * self.scanner.sweep_ns, scan_rng)
+            while pending is not None and pending.due_ns <= cloud.due_ns:
+                yield pending
+                pending = next(odometry, None)
+            yield cloud
+        while pending is not None:
+            yield pending
+            pending = next(odometry, None)
+
+    def _scan(self, stamp_ns: int, rng: np.random.Generator) -> Message:
+        base = self.pose(stamp_ns + self.scanner.column_offsets_ns())
+        # einsum and the like are free here: nothing of a simulation's bits enters a promise of the map's.
+        position = base.position + np.einsum("nij,j->ni", base.rotation, np.asarray(MOUNT))
+        points, offsets = self.scanner.sweep(self.ground, position, base.rotation, rng)
+        payload = encode_cloud(points, stamp_ns, SENSOR_FRAME, offsets_ns=offsets)
+        return Message(stamp_ns, "points", payload, self.name, stamp_ns + self.scanner.sweep_ns)
+
+    def _odometry(self, duration: float) -> Iterator[Message]:
+        """Poses at `ODOMETRY_HZ`, from the first sweep's start to one pose after the last sweep's end."""
+        rng = np.random.default_rng([self.seed, 0x0D0])
+        sigma = np.asarray(POSE_SIGMA)
+        covariance = np.diag(sigma**2)
+        keep = np.exp(-1 / (ODOMETRY_HZ * WANDER_SECONDS))
+        error = rng.normal(0, sigma)  # Gauss-Markov from its stationary spread on: sigma holds at every stamp
+        step = NANOSECONDS // ODOMETRY_HZ
+        for k in range(int(duration * ODOMETRY_HZ) + 2):
+            stamp = self.start_ns + k * step
+            true = self.pose(np.array([stamp]))
+            # True pose = (Exp(dtheta) R, t + dt) about the map's axes: what is said is the true pose less the error.
+            said = multiply(of_vector(-error[3:]), of_matrix(true.rotation[0]))
+            payload = encode_odometry(stamp, MAP_FRAME, true.position[0] - error[:3], said, covariance, BODY_FRAME)
+            yield Message(stamp, "odometry", payload, self.name, stamp)
+            error = keep * error + np.sqrt(1 - keep**2) * rng.normal(0, sigma)
+
+
+def rovers(count: int, seed: int, start_ns: int, scanner: Scanner | None = None) -> list[Rover]:
+    """`count` robots, rover1 and on, spread over the same path on the ground of `seed`."""
+    ground = Ground(seed)
+    return [
+        Rover(
+            ground,
+            name=f"rover{k + 1}",
+            seed=seed * 1000 + k,
+            phase=k / count,
+            scanner=Scanner() if scanner is None else scanner,
+            start_ns=start_ns,
+        )
+        for k in range(count)
+    ]
+
+
+def sensor_settings(scanner: Scanner) -> dict[str, object]:
+    """The `[sensors.lidar]` table that a service needs for these rovers."""
+    return {
+        "translation": list(MOUNT),
+        "rotation": [0.0, 0.0, 0.0, 1.0],
+        "range_sigma": scanner.range_sigma,
+        "beam_sigma": scanner.beam_sigma,
+        "min_range": 0.5,
+        "max_range": scanner.max_range + 1.0,
+    }
+
+
+def _unit(vectors: Floats) -> Floats:
+    lengths: Floats = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / lengths

@@ -1,0 +1,193 @@
+"""The status: how the service and its map are."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+import zenoh
+
+from roughmap_schemas.config import Config
+from roughmap_schemas.encodings import json_encoding
+from roughmap_schemas.keys import Keys
+from roughmap_schemas.layers import LAYERS
+from roughmap_schemas.messages import (
+    CloudCounts,
+    Lag,
+    LogState,
+    MapStatus,
+    PointCounts,
+    PoseCounts,
+    Rates,
+    TileCounts,
+    model_bytes,
+)
+from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
+from roughmap_service.answers.tile_reply import Identity
+from roughmap_service.host.counters import Counters
+from roughmap_service.host.log_lines import note
+from roughmap_service.run.view import View
+from roughmap_service.store.memory_limit import memory_bytes
+from roughmap_service.watch.readiness import Problem, health_of
+
+LOG = logging.getLogger(__name__)
+
+PERIOD_S = 1.0
+"""The contract's 1 Hz."""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What only the running parts know, as of one moment."""
+
+    durable_sequence: int = 0
+    input: int = 0
+    newest_stamp_ns: int = 0
+    waiting: int = 0
+    problems: Collection[Problem] = ()
+    log: LogState = field(default_factory=LogState)
+
+
+class Status:
+    """Makes `MapStatus` from the map, the counters and ``progress``."""
+
+    def __init__(
+        self,
+        view: View,
+        counters: Counters,
+        config: Config,
+        identity: Identity,
+        version: str,
+        progress: Callable[[], Progress],
+    ) -> None:
+        self._view = view
+        self._counters = counters
+        self._map = config.map
+        self._identity = identity
+        self._version = version
+        self._progress = progress
+        self._started = time.monotonic()
+
+    def __call__(self) -> MapStatus:
+        """The status now; waits for the rest of one scan's integration at most."""
+        progress = self._progress()  # first, so that where no cloud waits the map has all of them
+        with self._view.reading() as rough_map:
+            epoch, sequence = self._view.epoch, rough_map.sequence
+            extent, tiles, resident = rough_map.extent(), rough_map.tile_count, rough_map.resident_tiles
+        counts = self._counters.snapshot()
+        lag, (clouds, points, poses) = self._counters.lag(), self._counters.rates()
+        return MapStatus(
+            map=self._identity.map,
+            run=self._identity.run,
+            instance=self._identity.instance,
+            epoch=epoch,
+            version=self._version,
+            frame_id=self._map.frame_id,
+            cell_size=self._map.cell_size,
+            levels=self._map.levels,
+            layers=list(LAYERS),
+            bounds=self._map.bounds,
+            extent=extent,
+            error_model=self._map.error_model,
+            configuration_digest=self._identity.configuration_digest,
+            health=health_of(progress.problems),
+            sequence=sequence,
+            durable_sequence=progress.durable_sequence,
+            input=progress.input,
+            newest_stamp_ns=progress.newest_stamp_ns,
+            clouds=CloudCounts(
+                accepted=counts.clouds_accepted,
+                waiting=progress.waiting,
+                rejected={CloudReason(reason): n for reason, n in counts.clouds_rejected.items()},
+            ),
+            points=PointCounts(
+                accepted=counts.points_accepted,
+                rejected={PointReason(reason): n for reason, n in counts.points_rejected.items()},
+            ),
+            poses=PoseCounts(
+                accepted=counts.poses_accepted,
+                rejected={PoseReason(reason): n for reason, n in counts.poses_rejected.items()},
+            ),
+            refused={Refusal(reason): n for reason, n in counts.refused.items()},
+            gaps=dict(counts.gaps),
+            jumps=dict(counts.jumps),
+            lag_s=Lag(p50=lag.p50, p99=lag.p99),
+            rates=Rates(clouds=clouds, points=points, poses=poses),
+            memory_bytes=memory_bytes(),
+            tiles=TileCounts(resident=resident, spilled=tiles - resident),
+            log=progress.log,
+            uptime_s=time.monotonic() - self._started,
+        )
+
+
+class StatusPublisher:
+    """Publishes the status once a second while it is entered."""
+
+    def __init__(self, session: zenoh.Session, keys: Keys, status: Callable[[], MapStatus]) -> None:
+        self._session = session
+        self._key = keys.status
+        self._status = status
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="status", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End; waits for a status that is being sent, 2 s at most."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+
+    def _run(self) -> None:
+        encoding = json_encoding("MapStatus")
+        overload = Overload()
+        while not self._closing.is_set():
+            try:
+                status = self._status()
+                overload.watch(status)
+                # DROP: the next status makes up for a lost one, and a reader that stalls must not hold it up; with the
+                # events' priority, in whose queue nobody waits for room.
+                self._session.put(
+                    self._key,
+                    model_bytes(status),
+                    encoding=encoding,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    priority=zenoh.Priority.DATA_HIGH,
+                )
+            except Exception:  # whoever watches would take silence for a dead service
+                if self._session.is_closed():
+                    return
+                LOG.exception("the status could not be published")
+            self._closing.wait(PERIOD_S)
+
+
+class Overload:
+    """Tells in the log lines when an overload begins and when it ends, and what it cost."""
+
+    def __init__(self) -> None:
+        self._begun = False
+        self._before = 0  # dropped before the present overload
+
+    def watch(self, status: MapStatus) -> None:
+        """The next status, in the order of time."""
+        dropped = status.clouds.rejected.get(CloudReason.OVERLOAD, 0) + status.refused.get(Refusal.BUSY, 0)
+        if status.health == "overloaded" and not self._begun:
+            self._begun = True
+            text = "overloaded: more comes in than can be integrated; the oldest clouds are dropped and counted"
+            note(LOG, logging.WARNING, "overload_begun", text, always=True, waiting=status.clouds.waiting)
+        elif status.health == "ok":
+            if self._begun:
+                lost = dropped - self._before
+                text = f"no longer overloaded; {lost} messages were dropped or turned away meanwhile"
+                note(LOG, logging.INFO, "overload_ended", text, always=True, dropped=lost)
+            self._begun, self._before = False, dropped
