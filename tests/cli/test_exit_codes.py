@@ -21,7 +21,7 @@ CODES = {
     "PortTaken": 1,
 }
 MODULES = (
-    "journal.reader", "store.map_db", "engine.recovery", "offline.replay", "formats.clouds_in", "run.apply",
+    "journal.reader", "store.map_db", "engine.recovery", "offline.replay", "formats.clouds_in", "run.run",
     "inputs.session", "http.token", "http.server",
 )  # fmt: skip
 

@@ -114,7 +114,7 @@ _LATE = (
     ("roughmap_service.formats.clouds_in", "CloudFileFault", 2),
     ("roughmap_service.store.map_db", "StoreError", 2),
     ("roughmap_service.journal.reader", "LogError", 2),
-    ("roughmap_service.run.apply", "RunError", 1),
+    ("roughmap_service.run.run", "RunError", 1),
     ("roughmap_service.engine.recovery", "IdentityError", 2),
     ("roughmap_service.offline.replay", "ReplayError", 2),
     ("roughmap_service.inputs.session", "TransportError", 1),

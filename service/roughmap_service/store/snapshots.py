@@ -10,9 +10,8 @@ from roughmap_schemas import Config, configuration_digest
 from roughmap_service.host.log_lines import note
 from roughmap_service.journal.keep import Needed, delete_oldest
 from roughmap_service.journal.writer import LogWriter
-from roughmap_service.run.apply import RunState
-from roughmap_service.run.duplicates import Duplicates
-from roughmap_service.run.inbox import Inbox
+from roughmap_service.run.run import Run
+from roughmap_service.run.settings import NS
 from roughmap_service.run.view import View
 from roughmap_service.store.map_db import Cut, Store, StoreError
 from roughmap_service.store.spill import Spill, SpillError
@@ -29,22 +28,31 @@ READ_SECONDS = 0.05
 """How often a snapshot looks whether readings that it must wait for are over."""
 
 
-def cut_of(run: str, config: Config, state: RunState, inbox: Inbox, duplicates: Duplicates) -> Cut:
-    """Where the run stands; call it where nobody changes the state meanwhile."""
-    oldest = inbox.oldest_input()
+def cut_of(run_id: str, config: Config, run: Run) -> Cut:
+    """Where the run stands; call it where nothing changes the run meanwhile."""
+    oldest = min(run.clouds, default=None)
     return Cut(
-        run=run,
-        epoch=state.epoch,
-        sequence=state.map.sequence,
-        input=state.input,
-        record=state.record,
-        low_water=oldest if oldest is not None else state.input + 1,
+        run=run_id,
+        epoch=run.epoch,
+        sequence=run.map.sequence,
+        input=run.input,
+        record=run.record,
+        low_water=oldest if oldest is not None else run.input + 1,
         configuration=config.public_dict(),
         configuration_digest=configuration_digest(config),
-        poses={robot: buffer.to_state() for robot, buffer in state.poses.items()},
-        duplicates=duplicates.to_state(),
-        digest=state.map.digest(),
+        poses={robot: buffer.to_state() for robot, buffer in run.poses.items()},
+        duplicates=run.duplicates.to_state(),
+        digest=run.map.digest(),
     )
+
+
+def take_cut(cut: Cut, run: Run) -> None:
+    """Bring a new run to where a cut stands; the inverse of `cut_of`, but for the map's tiles."""
+    run.epoch, run.input, run.record = cut.epoch, cut.input, cut.record
+    run.newest_stamp_ns = run.map.newest_updated * NS
+    for robot, buffer in cut.poses.items():
+        run.buffer(robot).load_state(buffer)
+    run.duplicates.load_state(cut.duplicates)
 
 
 class Snapshots:
