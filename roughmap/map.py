@@ -15,17 +15,9 @@ from roughmap.integration import blocks
 from roughmap.integration.blocks import State
 from roughmap.integration.integrate import AddReport, Geometry, Prepared, integrate, prepare
 from roughmap.integration.workspace import Planes, ThreadScratch, Workspace
+from roughmap.points.checks import checked_covariances, checked_integers, checked_points, checked_stamps
 from roughmap.points.place import pose_at
-from roughmap.points.scan import (
-    Limits,
-    Noise,
-    Scan,
-    checked_covariances,
-    checked_integers,
-    checked_points,
-    checked_stamps,
-    point_rules,
-)
+from roughmap.points.scan import Limits, Noise, Scan, scan_rules
 from roughmap.points.strided import source_of
 from roughmap.points.trajectory import Trajectory
 from roughmap.reading.frozen import Frozen
@@ -243,7 +235,7 @@ class RoughMap:
         number = len(scan.points)
         offsets = scan.times
         stamps = scan.stamp_ns + (np.zeros(1, np.int64) if scan.offsets_ns is None else offsets)
-        way, gap, rules = trajectory.arrays, limits.max_gap_ns, point_rules(scan, noise, limits)
+        way, gap, rules = trajectory.arrays, limits.max_gap_ns, scan_rules(scan, noise, limits)
         posed, pose = pose_at(way, gap, scan.stamp_ns)
         planes = self._space.planes(number)
         source, own = source_of(scan.points), self.settings.rules

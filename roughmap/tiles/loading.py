@@ -4,7 +4,7 @@ import numpy as np
 
 from roughmap.arrays import I4, I8, U1, Records
 from roughmap.cell import CELL_DTYPE, STAMP_LIMIT_NS, TILE_CELLS
-from roughmap.points.scan import checked_stamp
+from roughmap.points.checks import checked_stamp
 from roughmap.tiles.index import TILE_LIMIT
 from roughmap.tiles.shelf import copy_known_rows
 from roughmap.tiles.table import TileTable

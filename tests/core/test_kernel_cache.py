@@ -10,7 +10,7 @@ import roughmap
 
 PROGRAM = """
 import numpy as np
-from roughmap.trajectory import Trajectory, _half_angles
+from roughmap.points.trajectory import Trajectory, _half_angles
 turned = np.array([[0, 0, 0, 1], [0, 0, 1, 0]])  # by half a turn: the quaternions are a quarter apart
 angles = Trajectory([0, 1], np.zeros((2, 3)), turned, np.zeros((2, 6, 6))).arrays[4]
 print(angles[0], sum(_half_angles.stats.cache_hits.values()))
@@ -42,7 +42,7 @@ def test_a_change_in_a_helper_of_another_file_counts(tmp_path: Path) -> None:
     angle, kept = run(tmp_path)
     assert (round(angle, 12), kept) == (1.570796326795, False)
     assert run(tmp_path) == (angle, True)
-    helper = tmp_path / "roughmap" / "poly.py"
+    helper = tmp_path / "roughmap" / "points" / "poly.py"
     text = helper.read_text()
     changed = text.replace("0.25 * math.pi", "0.75 * math.pi")
     assert changed != text
@@ -57,11 +57,11 @@ def test_kernels_beside_the_source_serve_another_folder(tmp_path: Path) -> None:
     shutil.copytree(package, tmp_path / "roughmap", ignore=shutil.ignore_patterns("__pycache__"))
     own = tmp_path / "own"
     angle, _ = run(tmp_path)
-    beside = sorted((tmp_path / "roughmap" / "__pycache__").glob("*.nb?"))
+    beside = sorted((tmp_path / "roughmap" / "points" / "__pycache__").glob("*.nb?"))
     assert run(tmp_path, NUMBA_CACHE_DIR=str(own)) == (angle, True)
     assert not list(own.rglob("*.nb?"))
     other = {"NUMBA_CACHE_DIR": str(own), "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
     assert run(tmp_path, **other) == (angle, False)
     assert list(own.rglob("*.nbc"))
     assert run(tmp_path, **other) == (angle, True)
-    assert sorted((tmp_path / "roughmap" / "__pycache__").glob("*.nb?")) == beside
+    assert sorted((tmp_path / "roughmap" / "points" / "__pycache__").glob("*.nb?")) == beside
