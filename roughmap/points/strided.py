@@ -31,7 +31,7 @@ def source_of(points: npt.NDArray[np.floating]) -> Source:
 
 
 def _loader(number: types.Float, width: ir.Type) -> Any:
-    def load(typingctx: Any, address: Any) -> Any:  # noqa: ARG001 - numba's calling form
+    def load(typingctx: Any, address: Any) -> Any:  # noqa: ARG001 - numba's calling convention
         def codegen(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:  # noqa: ARG001
             return builder.load(builder.inttoptr(args[0], width.as_pointer()), align=1)
 

@@ -62,7 +62,7 @@ def test_add(m: RoughMap, name: str) -> None:
 
 SINCE: dict[str, Callable[[RoughMap], Any]] = {
     "done already": lambda m: m.add(ONE, S),
-    "another prepared": lambda m: m.prepare(ONE, S),
+    "another prepared": lambda m: m.prepare_points(ONE, S),
     "emptied": lambda m: m.reset(),
     "a tile loaded": lambda m: m.load_tile(50, 50, np.ones(4096, CELL_DTYPE), 0, 0),
 }
@@ -70,10 +70,10 @@ SINCE: dict[str, Callable[[RoughMap], Any]] = {
 
 @pytest.mark.parametrize("name", SINCE)
 def test_what_was_prepared_for_another_state(m: RoughMap, name: str) -> None:
-    prepared = m.prepare(ONE * 2, S)
+    prepared = m.prepare_points(ONE * 2, S)
     SINCE[name](m)
     before = state_of(m)
-    with pytest.raises(ValueError, match="expected what was prepared last"):
+    with pytest.raises(ValueError, match="expected the points prepared last"):
         m.integrate(prepared)
     assert state_of(m) == before
 

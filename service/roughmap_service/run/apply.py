@@ -4,10 +4,9 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 
-from roughmap import RoughMap, Scan, TooManyTiles
+from roughmap import Prepared, RoughMap, Scan, TooManyTiles
 from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS
-from roughmap.integration.integrate import Prepared
-from roughmap.tiles.table import Hold
+from roughmap.tiles.table import ReaderLock
 from roughmap_schemas import (
     CheckpointEvent,
     Cloud,
@@ -83,10 +82,11 @@ class RunState:
             return ResetEvent(epoch=self.epoch, sequence=self.map.sequence)
         return CheckpointEvent(epoch=self.epoch, sequence=self.map.sequence, digest=self.map.digest())
 
-    def prepare(self, event: IntegrationEvent, hold: Hold = nullcontext) -> Callable[[], IntegrationEvent]:
+    def prepare(self, event: IntegrationEvent, reader_lock: ReaderLock = nullcontext) -> Callable[[], IntegrationEvent]:
         """All of an integration before the change that readers see; what is returned makes that change, and comes next.
 
-        The points are placed, and the tiles that they touch brought into memory: for ``hold`` see `RoughMap.prepare`.
+        The points are placed, and the tiles that they touch brought into memory: for ``reader_lock`` see
+        `RoughMap.prepare_points`.
         """
         cloud = self.clouds.get(event.input)
         if cloud is None:
@@ -104,7 +104,9 @@ class RunState:
             try:
                 # Whether there was room then, no replay can know: that the cloud needed a new tile, it can.
                 bounded = self.no_new_tiles or event.outcome == CloudReason.TOO_MANY_TILES
-                prepared = prepare(self.map, event.robot, cloud, poses, self.settings, no_new_tiles=bounded, hold=hold)
+                prepared = prepare(
+                    self.map, event.robot, cloud, poses, self.settings, no_new_tiles=bounded, reader_lock=reader_lock
+                )
                 outcome = INTEGRATED if prepared.accepted else CloudReason.EMPTY
             except TooManyTiles:
                 outcome = CloudReason.TOO_MANY_TILES
@@ -142,14 +144,14 @@ def prepare(
     settings: Settings,
     *,
     no_new_tiles: bool = False,
-    hold: Hold = nullcontext,
+    reader_lock: ReaderLock = nullcontext,
 ) -> Prepared:
     """Place a cloud, for the map to integrate. TooManyTiles if it can't."""
     most_new, most = 0 if no_new_tiles else settings.max_new_tiles, settings.max_tiles
     if cloud.frame_id == settings.frame_id:  # no pose, no limits of a sensor, one covariance for all its points
-        return rough_map.prepare(
+        return rough_map.prepare_points(
             cloud.points, settings.placed_covariance, cloud.stamp_ns, offsets_ns=cloud.offsets_ns,
-            max_new_tiles=most_new, max_tiles=most, hold=hold,
+            max_new_tiles=most_new, max_tiles=most, reader_lock=reader_lock,
         )  # fmt: skip
     sensor = settings.sensor(robot, cloud.frame_id)
     if sensor is None:
@@ -167,7 +169,7 @@ def prepare(
     except ValueError as error:
         raise RunError(f"an event names poses of {robot} that make no way: {error}") from None
     return rough_map.prepare_scan(
-        scan, line, sensor.noise, sensor.limits, max_new_tiles=most_new, max_tiles=most, hold=hold
+        scan, line, sensor.noise, sensor.limits, max_new_tiles=most_new, max_tiles=most, reader_lock=reader_lock
     )
 
 
