@@ -22,9 +22,10 @@ Geometry = Callable[[int, int, ThreadScratch, BlockState], tuple[int, BlockState
 
 
 class PointInput(NamedTuple):
-    """A call's points: their number, their planes, their stamps ((1,) for all, or (N,)), and their geometry."""
+    """A call's points: the array itself, their planes, their stamps ((1,) for all, or (N,)), and their geometry."""
 
-    number: int
+    points: npt.NDArray[np.floating]
+    """Kept here because ``geometry`` reads the array by address."""
     planes: Planes
     stamps: I8
     geometry: Geometry
@@ -57,7 +58,7 @@ def placed_points(
     def bound(start: int, stop: int, scratch: ThreadScratch, state: BlockState) -> tuple[int, BlockState]:
         return point_blocks(start, stop, planes, scratch.block, source, matrices, rules, scratch.tiles.arrays, state)
 
-    return PointInput(number, planes, stamps, bound)
+    return PointInput(checked, planes, stamps, bound)
 
 
 def scan_points(
@@ -78,4 +79,4 @@ def scan_points(
             gap, posed, pose, returns, rules, scratch.tiles.arrays, state,
         )  # fmt: skip
 
-    return PointInput(number, planes, stamps, place)
+    return PointInput(scan.points, planes, stamps, place)

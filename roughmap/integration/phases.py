@@ -149,7 +149,8 @@ def phase_one(
     `TooManyTiles` comes before any tile is brought back; for ``reader_lock`` and other errors see
     `TileTable.bring_back`.
     """
-    number, planes, stamps, geometry = points
+    array, planes, stamps, geometry = points
+    number = len(array)
     parts = space.parts(number)
     edges = np.array([min(blocks_of(number) * n // parts * BLOCK, number) for n in range(parts + 1)])
 
