@@ -3,7 +3,7 @@
 import numpy as np
 import scipy.special
 
-from roughmap.reading.normal import erf
+from roughmap.reading.error_function import erf
 
 
 def test_as_scipy_and_in_shape() -> None:
