@@ -16,7 +16,7 @@ from roughmap.integration.phases import AddReport, Prepared, phase_one, phase_tw
 from roughmap.integration.workspace import Workspace
 from roughmap.points.scan import Limits, Noise, Scan
 from roughmap.points.trajectory import Trajectory
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap.reading.merge_cache import MergeCache
 from roughmap.reading.region import Region, cell_box, read_region, tile_box
 from roughmap.settings import MapSettings
@@ -302,7 +302,7 @@ class RoughMap:
             self._digest = self._version, map_digest(*self.tile_digests())
         return self._digest[1]
 
-    def freeze(self, level: int = 0, box: TileBox | None = None, *, after: int = -1) -> Frozen:
+    def freeze(self, level: int = 0, box: TileBox | None = None, *, after: int = -1) -> FrozenMap:
         """Freeze the tiles of ``level`` in ``box`` (tile numbers, inclusive; None: all) as they are now, to be read
         later.
 
@@ -311,7 +311,7 @@ class RoughMap:
         Returns a context manager, to be closed under the lock of the map's methods. ValueError for an unknown level.
         """
         self._check_level(level)
-        return Frozen(
+        return FrozenMap(
             self._table,
             self._cache,
             level=level,

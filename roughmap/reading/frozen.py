@@ -41,7 +41,7 @@ class _SortedTiles:
         return place if place < len(self._packed) and self._packed[place] == packed else -1
 
 
-class Frozen:
+class FrozenMap:
     """The tiles of one level within a box, and the ring of tiles around it, as they were when the map was frozen.
 
     `RoughMap.freeze` creates it under the caller's lock; the caller closes it, or leaves the ``with`` block, under the

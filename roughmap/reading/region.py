@@ -5,7 +5,7 @@ from math import ceil, floor, isfinite
 
 from roughmap.arrays import F8
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap.reading.layers import check_limits, check_names, check_tolerance, unknown_plane
 
 Bbox = tuple[float, float, float, float]
@@ -82,7 +82,7 @@ def tile_box(cells: CellBox) -> CellBox:
 
 
 def read_region(
-    frozen: Frozen,
+    frozen: FrozenMap,
     bbox: Iterable[float],
     names: Iterable[str],
     height_tolerance: float = 0.05,

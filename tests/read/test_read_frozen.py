@@ -349,14 +349,14 @@ def test_what_lies_beneath_drives_out_nothing_of_the_level() -> None:
     cache = MergeCache(limit=4 * 4096 * 64)
     made: list[int] = []
 
-    def get(n: int, *, beneath: bool = False) -> None:
-        cache.get((n,), lambda: made.append(n) or np.zeros(4096, CELL_DTYPE), lower=beneath)  # type: ignore[func-returns-value]
+    def get(n: int, *, lower: bool = False) -> None:
+        cache.get((n,), lambda: made.append(n) or np.zeros(4096, CELL_DTYPE), lower=lower)  # type: ignore[func-returns-value]
         assert cache.nbytes <= cache.limit
 
     for n in range(10, 14):
         get(n, lower=True)
     for n in (13, 0, 1, 10, 11, 0, 1):  # where nothing else is wanted it has all the room
-        get(n, beneath=n > 1)
+        get(n, lower=n > 1)
     assert made == [10, 11, 12, 13, 0, 1, 10, 11]
     for n in (2, 3, 4):  # the level has no more than its half while the other is wanted
         get(n)
