@@ -51,11 +51,13 @@ class FrozenMap:
     does not have.
 
     Attributes:
-        level: the level; 0 for the map's own cells. box: the requested tiles (x0, y0, x1, y1) of the level, inclusive;
-        None for all. cell_size: side of the level's cells, metres. sequence: sequence of the map at that moment.
-        newest_updated: newest `updated` of the map, in seconds. tiles: (T, 2) int32, the tiles of the level in the box
-        that have a known cell, ascending by (x, y). sequences: (T,) int64, the sequence at which the cells of each
-        tile, or the ring of cells around it, last changed.
+        level: the level; 0 for the map's own cells.
+        box: the requested tiles (x0, y0, x1, y1) of the level, inclusive; None for all.
+        cell_size: side of the level's cells, metres.
+        sequence: sequence of the map at that moment.
+        newest_updated: newest `updated` of the map, in seconds.
+        tiles: (T, 2) int32, the tiles of the level in the box that have a known cell, ascending by (x, y).
+        sequences: (T,) int64, the sequence at which the cells of each tile, or the ring around them, last changed.
     """
 
     def __init__(

@@ -8,7 +8,16 @@ import pytest
 from read_tools import cell_of
 
 from roughmap.cell import CELL_DTYPE
-from roughmap.reading.layers import CELL_LAYERS, LAYERS, cell_layers, check_limits, check_names, check_tolerance
+from roughmap.reading.layers import (
+    CELL_LAYERS,
+    LAYERS,
+    LIMIT_NAMES,
+    cell_layers,
+    check_limits,
+    check_names,
+    check_tolerance,
+)
+from roughmap_schemas import layers as contract
 
 UNKNOWN = np.zeros((), dtype=CELL_DTYPE)
 
@@ -23,6 +32,8 @@ def test_the_layers_of_the_contract_in_its_order() -> None:
         *("confidence_factor", "mean_variance", "count", "weight", "expected_count", "age", "gradient_x"),
         *("gradient_y", "slope", "step_height", "traversability"),
     ) == LAYERS
+    assert LAYERS == contract.LAYERS
+    assert LIMIT_NAMES == contract.LIMIT_NAMES
 
 
 def test_three_points() -> None:
