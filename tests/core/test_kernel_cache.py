@@ -1,4 +1,4 @@
-"""Compiled kernels are kept on disk, and made anew when any source changed of which they may be made."""
+"""Compiled kernels are cached on disk, and compiled again when any source they may depend on changes."""
 
 import os
 import shutil
@@ -11,15 +11,15 @@ import roughmap
 PROGRAM = """
 import numpy as np
 from roughmap.points.trajectory import Trajectory, _half_angles
-turned = np.array([[0, 0, 0, 1], [0, 0, 1, 0]])  # by half a turn: the quaternions are a quarter apart
+turned = np.array([[0, 0, 0, 1], [0, 0, 1, 0]])  # half a turn: the quaternions are a quarter turn apart
 angles = Trajectory([0, 1], np.zeros((2, 3)), turned, np.zeros((2, 6, 6))).arrays[4]
 print(angles[0], sum(_half_angles.stats.cache_hits.values()))
 """
 
 
 def run(folder: Path, **more: str) -> tuple[float, bool]:
-    """The angle of half a turn by the package in ``folder``, and whether the kernel came from disk."""
-    # The current folder stands before all others in the search for modules.
+    """Return the angle of half a turn from the package in ``folder``, and whether the kernel came from disk."""
+    # The current folder comes first in the search for modules.
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM],
@@ -36,7 +36,7 @@ def run(folder: Path, **more: str) -> tuple[float, bool]:
 
 
 def test_a_change_in_a_helper_of_another_file_counts(tmp_path: Path) -> None:
-    """`_half_angles` stands in trajectory.py, and the arc tangent that is compiled into it in poly.py."""
+    """`_half_angles` is in trajectory.py; the arc tangent that is compiled into it is in poly.py."""
     package = Path(roughmap.__file__).parent
     shutil.copytree(package, tmp_path / "roughmap", ignore=shutil.ignore_patterns("__pycache__"))
     angle, kept = run(tmp_path)
@@ -52,7 +52,7 @@ def test_a_change_in_a_helper_of_another_file_counts(tmp_path: Path) -> None:
 
 
 def test_kernels_beside_the_source_serve_another_folder(tmp_path: Path) -> None:
-    """As in an image: its kernels are read where they came, and what they don't serve is kept where can be written."""
+    """As in a container image: shipped kernels are read in place, and new ones are saved to the writable folder."""
     package = Path(roughmap.__file__).parent
     shutil.copytree(package, tmp_path / "roughmap", ignore=shutil.ignore_patterns("__pycache__"))
     own = tmp_path / "own"

@@ -1,4 +1,4 @@
-"""What is refused with ValueError, saying what was expected; and that nothing has changed then."""
+"""Invalid arguments raise ValueError that names what was expected, and change nothing."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,7 +16,7 @@ ONE = [(0.0, 0.0, 0.0)]
 
 @pytest.fixture
 def m() -> RoughMap:
-    """With something in it, so that there is something to change."""
+    """Return a map that is not empty, so that a change would show."""
     m = RoughMap(threads=1)
     m.add([(0.07, -0.01, 1.0), (9.0, 3.0, 2.0)], S, stamp_ns=5 * SECOND_NS)
     return m
@@ -69,7 +69,7 @@ SINCE: dict[str, Callable[[RoughMap], Any]] = {
 
 
 @pytest.mark.parametrize("name", SINCE)
-def test_what_was_prepared_for_another_state(m: RoughMap, name: str) -> None:
+def test_points_prepared_for_another_state(m: RoughMap, name: str) -> None:
     prepared = m.prepare_points(ONE * 2, S)
     SINCE[name](m)
     before = state_of(m)
@@ -139,7 +139,7 @@ def test_freeze(m: RoughMap, level: Any) -> None:
         ({"threads": 1.0}, "threads"),
     ],
 )
-def test_a_map_that_cannot_be(options: dict[str, Any], message: str) -> None:
+def test_invalid_settings(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         RoughMap(**options)
 
@@ -184,13 +184,13 @@ UNIT = (0.0, 0.0, 0.0, 1.0)
         (lambda: Limits(exclude=((0, 0, 2, 1, 1, 1),)), r"Limits\.exclude: .*min <= max"),
     ],
 )
-def test_what_describes_a_scan(make: Callable[[], Any], message: str) -> None:
+def test_invalid_scans(make: Callable[[], Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
 
 
-def test_nothing_is_something_else_than_a_mistake(m: RoughMap) -> None:
-    """No points, no returns: an empty report, and no new sequence."""
+def test_empty_input_is_valid(m: RoughMap) -> None:
+    """No points or no returns: an empty report and no new sequence."""
     before = state_of(m)
     for report in (
         m.add(np.zeros((0, 3)), S),

@@ -1,4 +1,4 @@
-"""The contract's worked cells, all numbers to the printed digits, through the running update and the reading."""
+"""The contract's worked cells, to the printed digits, through the running update and the layers."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ LAYER_NAMES = ("std_dev", "expected_count", "confidence_level", "confidence_fact
 
 
 def says(value: float, printed: str) -> bool:
-    """Whether ``value`` is ``printed`` within half a unit of its last digit; a short number is meant exactly.
+    """Whether ``value`` equals ``printed`` within half a unit of its last digit; a short number is exact.
 
     Exact ones get 1e-11 of their size: m2 is a sum of squares of differences of heights near 10, whose rounding of
     1e-15 is 1e-13 of a difference of 0.01.
@@ -65,7 +65,7 @@ def test_the_state(model: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_the_layers(model: str) -> None:
-    # The middle of the cell, so that no rounding of its edges matters.
+    # The middle of the cell, so that rounding of its edges does not matter.
     r = built(model).region((0.51, -0.29, 0.59, -0.21), LAYER_NAMES, height_tolerance=0.05)
     assert r.cells == (5, -3, 6, -2)
     for name, printed in zip(LAYER_NAMES, LAYER_VALUES[model], strict=True):
