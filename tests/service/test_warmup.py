@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from roughmap.integration import blocks, fused, integrate
+from roughmap.integration import blocks, phases, tile_update
 from roughmap.points import place
 from roughmap.tiles import changes, index, slots
 from roughmap_schemas import Config, decode_cloud, encode_cloud
@@ -18,7 +18,7 @@ from roughmap_service.run.placing import place_cloud
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.settings import Settings, new_map
 
-MODULES = (blocks, fused, integrate, place, changes, index, slots)
+MODULES = (blocks, phases, place, tile_update, changes, index, slots)
 
 
 def compiled() -> dict[str, int]:

@@ -3,10 +3,9 @@
 from collections.abc import Sequence
 from contextlib import nullcontext
 
-from roughmap import RoughMap, Scan
+from roughmap import Prepared, RoughMap, Scan
 from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS
-from roughmap.integration.integrate import Prepared
-from roughmap.tiles.table import Hold
+from roughmap.tiles.table import ReaderLock
 from roughmap_schemas import Cloud, PointReason
 from roughmap_service.run.poses import Pose, trajectory
 from roughmap_service.run.settings import Settings
@@ -20,18 +19,18 @@ def place_cloud(
     settings: Settings,
     *,
     no_new_tiles: bool = False,
-    hold: Hold = nullcontext,
+    reader_lock: ReaderLock = nullcontext,
 ) -> Prepared:
     """Place a cloud's points (eq. 1) and bring the tiles they touch into memory; the map does not change yet.
 
     Raises TooManyTiles if the cloud needs more new tiles than it may have (none with ``no_new_tiles``), ValueError if
-    ``poses`` make no trajectory. ``hold`` as for `RoughMap.prepare`.
+    ``poses`` make no trajectory. ``reader_lock`` as for `RoughMap.prepare_points`.
     """
     most_new, most = 0 if no_new_tiles else settings.max_new_tiles, settings.max_tiles
     if cloud.frame_id == settings.frame_id:  # placed already: no pose, no sensor limits, one covariance for all points
-        return rough_map.prepare(
+        return rough_map.prepare_points(
             cloud.points, settings.placed_covariance, cloud.stamp_ns, offsets_ns=cloud.offsets_ns,
-            max_new_tiles=most_new, max_tiles=most, hold=hold,
+            max_new_tiles=most_new, max_tiles=most, reader_lock=reader_lock,
         )  # fmt: skip
     sensor = settings.sensor(robot, cloud.frame_id)
     if sensor is None:  # it waited over a restart, and the new configuration does not have its sensor
@@ -45,7 +44,7 @@ def place_cloud(
     )
     path = trajectory(poses, settings.pose_covariance)
     return rough_map.prepare_scan(
-        scan, path, sensor.noise, sensor.limits, max_new_tiles=most_new, max_tiles=most, hold=hold
+        scan, path, sensor.noise, sensor.limits, max_new_tiles=most_new, max_tiles=most, reader_lock=reader_lock
     )
 
 

@@ -11,12 +11,10 @@ import numpy as np
 
 from roughmap import Trajectory
 from roughmap_schemas import Odometry, PoseReason, Transform
+from roughmap_schemas.geometry import Quaternion, Vector, rotation_matrix
 from roughmap_service.run.pose_algebra import (
     Floats,
-    Quaternion,
-    Triple,
     angle_between,
-    matrix,
     multiply,
     quaternion,
     rotate,
@@ -33,7 +31,7 @@ class Pose:
     """A robot's base in the map frame. ``covariance`` (6, 6) in map axes, None where the message told none."""
 
     stamp_ns: int
-    position: Triple
+    position: Vector
     rotation: Quaternion
     covariance: Floats | None
     input: int
@@ -46,7 +44,7 @@ class StampedTransform:
 
     stamp_ns: int
     input: int
-    translation: Triple
+    translation: Vector
     rotation: Quaternion
 
 
@@ -159,7 +157,7 @@ class PoseBuffer:
         if not before:
             return None
         transform = row[before - 1]
-        turn = matrix(transform.rotation)
+        turn = rotation_matrix(transform.rotation)
         moved = rotate(turn, position)
         covariance = None if odometry.covariance is None else turn_covariance(turn, odometry.covariance)
         t = transform.translation

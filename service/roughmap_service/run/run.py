@@ -15,9 +15,8 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 
-from roughmap import RoughMap, TooManyTiles
-from roughmap.integration.integrate import Prepared
-from roughmap.tiles.table import Hold
+from roughmap import Prepared, RoughMap, TooManyTiles
+from roughmap.tiles.table import ReaderLock
 from roughmap_schemas import (
     CheckpointEvent,
     Cloud,
@@ -126,12 +125,13 @@ class Run:
         return self.inbox.tick(now)
 
     def place(
-        self, proposal: Proposal, hold: Hold = nullcontext, *, no_new_tiles: bool = False
+        self, proposal: Proposal, reader_lock: ReaderLock = nullcontext, *, no_new_tiles: bool = False
     ) -> Callable[[], IntegrationEvent]:
         """Do all of an integration that readers can't see; the returned function changes the map, and comes next.
 
-        The points are placed and the tiles they touch brought into memory: for ``hold`` see `RoughMap.prepare`.
-        ``no_new_tiles``: there is no memory for more tiles, and a cloud that needs one ends as `too_many_tiles`.
+        The points are placed and the tiles they touch brought into memory; for ``reader_lock`` see
+        `RoughMap.prepare_points`. With ``no_new_tiles`` there is no memory for more tiles, and a cloud that needs one
+        ends as `too_many_tiles`.
         """
         cloud, outcome, prepared = proposal.cloud, proposal.outcome, Prepared(0, {})
         if outcome in KNOWN_WHEN_PLACED:
@@ -140,7 +140,13 @@ class Run:
             poses = self._named_poses(proposal)
             try:
                 prepared = place_cloud(
-                    self.map, cloud.robot, cloud.cloud, poses, self.settings, no_new_tiles=no_new_tiles, hold=hold
+                    self.map,
+                    cloud.robot,
+                    cloud.cloud,
+                    poses,
+                    self.settings,
+                    no_new_tiles=no_new_tiles,
+                    reader_lock=reader_lock,
                 )
                 outcome = INTEGRATED if prepared.accepted else CloudReason.EMPTY
             except TooManyTiles:

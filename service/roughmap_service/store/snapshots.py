@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap_schemas import Config, configuration_digest
 from roughmap_service.host.log_lines import note
 from roughmap_service.journal.keep import Needed, delete_oldest
@@ -148,7 +148,7 @@ class Snapshots:
             time.sleep(READ_SECONDS)
         return True
 
-    def _write(self, cut: Cut, frozen: Frozen, after: int | None, outlived: set[int]) -> None:
+    def _write(self, cut: Cut, frozen: FrozenMap, after: int | None, outlived: set[int]) -> None:
         assert self._store is not None  # noqa: S101 - offer() saw to it
         try:
             if not self._writer.wait_synced(SYNC_SECONDS):
@@ -186,7 +186,7 @@ class Snapshots:
             text = f"the map can't be stored ({self.error}); the log holds all, and it is tried again"
             note(log, logging.ERROR, "snapshot_failed", text, always=True, cause=self.error)
 
-    def _end(self, frozen: Frozen | None) -> None:
+    def _end(self, frozen: FrozenMap | None) -> None:
         self._asked = None
         if frozen is not None:
             with self._view.reading():

@@ -101,11 +101,11 @@ class Spill(Shelf):
         self._number[places] = np.arange(number)
         return places
 
-    def _vacated(self, place: int) -> None:
+    def _recycle(self, place: int) -> None:
         if self._slice[place] >= 0:
             self._left.append(int(self._slice[place]))
         self._slice[place] = NOWHERE
-        super()._vacated(place)
+        super()._recycle(place)
 
     def outlived(self) -> I8:
         """The places of tiles that have changed since they were stored, and are still read as they were then."""
