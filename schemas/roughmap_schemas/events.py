@@ -3,7 +3,7 @@
 import json
 from typing import Annotated, Final, Literal
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from roughmap_schemas.faults import UnknownEventKind
 from roughmap_schemas.messages import BadJson, Hex32, Message, Number, model_bytes
@@ -12,7 +12,13 @@ from roughmap_schemas.reasons import CloudReason, PointReason
 Input = Annotated[int, Field(ge=1)]
 
 
-class IntegrationEvent(Message):
+class _Closed(Message):
+    """The base of events. They take no unknown members: a replay must account for everything that an event says."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class IntegrationEvent(_Closed):
     """What was done with one cloud.
 
     ``poses`` are (odometry input, transform input or 0), ascending by stamp: replay places the cloud with exactly
@@ -30,7 +36,7 @@ class IntegrationEvent(Message):
     sequence: Number
 
 
-class CheckpointEvent(Message):
+class CheckpointEvent(_Closed):
     """The map's digest at a sequence."""
 
     kind: Literal["checkpoint"] = "checkpoint"
@@ -39,7 +45,7 @@ class CheckpointEvent(Message):
     digest: Hex32
 
 
-class ResetEvent(Message):
+class ResetEvent(_Closed):
     """The map was emptied; ``epoch`` and ``sequence`` are those that begin with it."""
 
     kind: Literal["reset"] = "reset"

@@ -1,14 +1,24 @@
 """The JSON messages of the contract: receipts, answers, status.
 
-Every model is frozen and refuses unknown members. Floats are finite or null: JSON never holds NaN. Times are integer
+Every model is frozen. Floats are finite or null: JSON never holds NaN. Times are integer
 nanoseconds since the Unix epoch and their names end in ``_ns``.
 """
 
 import math
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+)
 
+from roughmap_schemas.contract import CONTRACT_VERSION
 from roughmap_schemas.faults import ContractError
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
 
@@ -28,10 +38,40 @@ Hex32 = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 Number = Annotated[int, Field(ge=0)]
 
 
-class Message(BaseModel):
-    """The base of all JSON messages."""
+def _known_or_text(value: Any, known: ValidatorFunctionWrapHandler) -> Any:
+    """Return the member of an enumeration, or the text itself if it is none."""
+    try:
+        return known(value)
+    except ValidationError:
+        if isinstance(value, str):
+            return value
+        raise
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+OPEN = (WrapValidator(_known_or_text), PlainSerializer(str, return_type=str))
+"""Marks a reason. A minor release may add some, so one that this release does not have is read as plain text."""
+
+
+class Message(BaseModel):
+    """The base of all JSON messages.
+
+    Unknown members are ignored, because a minor release of the contract may add some.
+    """
+
+    model_config = ConfigDict(
+        frozen=True, extra="ignore", use_attribute_docstrings=True, json_schema_serialization_defaults_required=True
+    )
+
+
+class Reply(Message):
+    """The base of all JSON replies.
+
+    A member that a minor release of the contract adds here needs a default, so that its clients can read the replies
+    of older services.
+    """
+
+    contract: Annotated[str, Field(pattern=r"^[0-9]+\.[0-9]+$")] = CONTRACT_VERSION
+    """The contract's version, ``major.minor``."""
 
 
 M = TypeVar("M", bound=Message)
@@ -56,7 +96,7 @@ def parse_model(kind: type[M], payload: bytes | str) -> M:
         raise BadJson(f"expected a {kind.__name__} in JSON: {where}: {first['msg']}") from None
 
 
-class QueryError(Message):
+class QueryError(Reply):
     """An error reply to any request."""
 
     code: str
@@ -64,7 +104,7 @@ class QueryError(Message):
     message: str
 
 
-class Receipt(Message):
+class Receipt(Reply):
     """The log holds the message, fsynced, under this input number; what becomes of it is told by its event."""
 
     input: Annotated[int, Field(ge=1)]
@@ -73,7 +113,7 @@ class Receipt(Message):
     duplicate: bool = False
 
 
-class TileInfo(Message):
+class TileInfo(Reply):
     """The attachment of a tile reply. For ``region``: x, y and digest null, z the level, answer_tiles 1."""
 
     map: str
@@ -123,7 +163,7 @@ class CellEntry(Message):
     layers: dict[str, Known]
 
 
-class CellAnswer(Message):
+class CellAnswer(Reply):
     """The answer to a ``cells`` query, in the asked order."""
 
     map: str
@@ -151,7 +191,7 @@ class UpdateRecord(Message):
     info: TileInfo
 
 
-class ControlAnswer(Message):
+class ControlAnswer(Reply):
     """The answer to an operator's request."""
 
     sequence: Number
@@ -163,21 +203,21 @@ class CloudCounts(Message):
 
     accepted: Number = 0
     waiting: Number = 0
-    rejected: dict[CloudReason, Number] = {}
+    rejected: dict[Annotated[CloudReason, *OPEN], Number] = {}
 
 
 class PointCounts(Message):
     """Points of integrated clouds since this start."""
 
     accepted: Number = 0
-    rejected: dict[PointReason, Number] = {}
+    rejected: dict[Annotated[PointReason, *OPEN], Number] = {}
 
 
 class PoseCounts(Message):
     """Poses since this start."""
 
     accepted: Number = 0
-    rejected: dict[PoseReason, Number] = {}
+    rejected: dict[Annotated[PoseReason, *OPEN], Number] = {}
 
 
 class Lag(Message):
@@ -210,7 +250,7 @@ class LogState(Message):
     ok: bool = True
 
 
-class MapStatus(Message):
+class MapStatus(Reply):
     """How the service and its map are; counts are since this start."""
 
     map: str
@@ -237,7 +277,7 @@ class MapStatus(Message):
     clouds: CloudCounts
     points: PointCounts
     poses: PoseCounts
-    refused: dict[Refusal, Number]
+    refused: dict[Annotated[Refusal, *OPEN], Number]
     """Messages that never reached the log."""
     gaps: dict[str, Number]
     """Missing message numbers a robot, of published messages only. Its clouds, poses and transforms count each for
@@ -273,6 +313,7 @@ __all__ = [
     "QueryRecord",
     "Rates",
     "Receipt",
+    "Reply",
     "TileCounts",
     "TileInfo",
     "UpdateRecord",

@@ -3,6 +3,7 @@
 from roughmap_client.client import RoughMapClient
 from roughmap_client.errors import (
     BadArgument,
+    ContractMismatch,
     IncompleteAnswer,
     MixedInstances,
     NoAnswer,
@@ -17,6 +18,7 @@ __all__ = [
     "BadArgument",
     "Cells",
     "Changes",
+    "ContractMismatch",
     "IncompleteAnswer",
     "Layers",
     "MixedInstances",

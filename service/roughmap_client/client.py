@@ -163,7 +163,7 @@ class RoughMapClient:
         # Without a tile the answer tells no version; what was true before it is the latest that is known for sure.
         version = tiles[0].version if tiles else Version(before.epoch, before.sequence, before.instance)
         held = _held(since, before)
-        return Changes(version, tiles, anew=held is None or held.epoch != version.epoch)
+        return Changes(version, tiles, complete=held is None or held.epoch != version.epoch)
 
     def watch(
         self,

@@ -2,6 +2,7 @@
 
 __all__ = [
     "BadArgument",
+    "ContractMismatch",
     "IncompleteAnswer",
     "MixedInstances",
     "NoAnswer",
@@ -48,6 +49,10 @@ class MixedInstances(RoughMapError):
 
 class UnreadableAnswer(RoughMapError):
     """An answer is not in the contract's form: another program, or a service of another release, answers here."""
+
+
+class ContractMismatch(RoughMapError):
+    """The service and this client speak different major versions of the contract. Upgrade the older of the two."""
 
 
 def in_short(error: Exception) -> str:

@@ -6,6 +6,7 @@ from typing import TypeVar
 import numpy as np
 import zenoh
 
+from roughmap_client.contract import read_reply
 from roughmap_client.errors import IncompleteAnswer, MixedInstances, UnreadableAnswer
 from roughmap_client.results import Cells, Region, Tile, Version
 from roughmap_client.session import Part
@@ -17,13 +18,12 @@ from roughmap_schemas import (
     decode_grid,
     encodings,
     json_encoding,
-    parse_model,
 )
 from roughmap_schemas.grid import MAX_DATA
 from roughmap_schemas.layers import LAYERS
-from roughmap_schemas.messages import Message
+from roughmap_schemas.messages import Reply
 
-M = TypeVar("M", bound=Message)
+R = TypeVar("R", bound=Reply)
 
 TILE_CELLS = 64
 """Cells along a side of a tile; the contract's, stands here so that a client need not load the kernels."""
@@ -85,11 +85,11 @@ def read_cells(part: Part, layers: Sequence[str], number: int) -> Cells:
     )
 
 
-def read_model(part: Part, kind: type[M]) -> M:
+def read_model(part: Part, kind: type[R]) -> R:
     """A reply in JSON."""
     part.check_encoding(json_encoding(kind.__name__))
     try:
-        return parse_model(kind, part.payload)
+        return read_reply(kind, part.payload)
     except ContractError as error:
         raise UnreadableAnswer(f"{part.key}: {error}") from None
 
@@ -113,7 +113,7 @@ def _grid(part: Part, layers: Sequence[str], most: int = MAX_DATA) -> tuple[Tile
     """Attachment and grid; ``layers`` empty: whichever it has."""
     part.check_encoding(encodings.GRID)
     try:
-        info = parse_model(TileInfo, part.attachment)
+        info = read_reply(TileInfo, part.attachment)
         grid = decode_grid(part.payload, info.compression, max_data=most)
     except ContractError as error:
         raise UnreadableAnswer(f"{part.key}: {error}") from None

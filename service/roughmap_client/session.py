@@ -9,6 +9,7 @@ from pathlib import Path
 import zenoh
 
 from roughmap_client.access import endpoints_of, read_zenoh_file, told
+from roughmap_client.contract import read_reply
 from roughmap_client.errors import (
     BadArgument,
     IncompleteAnswer,
@@ -21,7 +22,7 @@ from roughmap_client.errors import (
 from roughmap_schemas.config import without_secrets
 from roughmap_schemas.encodings import UNSAID
 from roughmap_schemas.faults import ConfigFault
-from roughmap_schemas.messages import QueryError
+from roughmap_schemas.messages import BadJson, QueryError
 
 ZENOH_TIMEOUT = b"Timeout"
 """Zenoh's own word at the time limit. It comes from the session, without a replier, or from its router part, which does
@@ -62,10 +63,10 @@ class Answer:
         """
         for payload, encoding in self.errors:
             try:
-                fault = QueryError.model_validate_json(payload)
-            except ValueError:
+                error = read_reply(QueryError, payload)
+            except BadJson:
                 raise UnreadableAnswer(f"an error of the encoding {encoding!r}: {payload[:200]!r}") from None
-            raise QueryRefused(str(fault.code), fault.message)
+            raise QueryRefused(error.code, error.message)
         if self.timed_out and self.parts:
             raise IncompleteAnswer(f"the time limit came after {len(self.parts)} replies")
         if self.timed_out:
