@@ -79,8 +79,9 @@ def test_settings_named_exist_with_the_default_beside_them(name: str) -> None:
     """`section.name` is a setting; a number in parentheses right after it is its default."""
     known = settings()
     sections = "|".join(DEFAULT.model_dump().keys() - {"sensors", "robots"})
-    setting = rf"(?<![\w/.-])((?:{sections})\.(?!db\b|toml\b)[a-z_]+)"
-    named = re.findall(rf"{setting}(?: = [^`]*)?`?(?: \(([\d.]+) (\w+)\))?", page(name))
+    mark = "`" if name.endswith(".md") else ""
+    setting = rf"((?:{sections})\.(?!db\b)[a-z_]+)"
+    named = re.findall(rf"{mark}\b{setting}(?: = [^`]*)?{mark}(?: \(([\d.]+) (\w+)\))?", page(name))
     for one, number, unit in named:
         assert one in known
         assert not number or float(number) * UNITS[unit] == pytest.approx(known[one]), one
