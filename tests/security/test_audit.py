@@ -61,4 +61,4 @@ def test_an_audit_that_reaches_nobody_says_so_last(tmp_path: Path) -> None:
         env={**os.environ, **nowhere},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert re.match("NOTHING AUDITED: .*pypi can't be reached .*osv can't be reached", done.stdout.splitlines()[-1])
+    assert re.match("NOTHING AUDITED: .*pypi is not reachable .*osv is not reachable", done.stdout.splitlines()[-1])
