@@ -50,11 +50,28 @@ class View:
         with self._turn:
             self._lock.acquire()
         try:
-            while self._left:
-                self._left.popleft().close()
+            self._close_left()
             yield
         finally:
             self._lock.release()
+            self._close_left_if_free()
+
+    def _close_left(self) -> None:
+        """Close what readers left here; call it with the lock held."""
+        while self._left:
+            self._left.popleft().close()
+
+    def _close_left_if_free(self) -> None:
+        """Close what readers left here, unless the lock is held.
+
+        Called after each release and after each reader that leaves something: one of the two finds the lock free, so
+        nothing stays pinned.
+        """
+        while self._left and self._lock.acquire(blocking=False):
+            try:
+                self._close_left()
+            finally:
+                self._lock.release()
 
     @contextmanager
     def change(self) -> Iterator[RoughMap]:
@@ -93,14 +110,9 @@ class View:
         self._was_read = True
 
     def let_go(self, frozen: FrozenMap) -> None:
-        """Close what was frozen, now or, if the map is in use, by the next one who takes it: no answer waits for it."""
-        if self._lock.acquire(blocking=False):
-            try:
-                frozen.close()
-            finally:
-                self._lock.release()
-        else:
-            self._left.append(frozen)
+        """Close a frozen part of the map now or, if the map is in use, when that use ends: no answer waits for it."""
+        self._left.append(frozen)
+        self._close_left_if_free()
 
     def wait_change(self, after: tuple[int, int], timeout: float) -> bool:
         """Wait at most ``timeout`` seconds until (epoch, sequence) is no longer ``after``; False if it still is."""
@@ -114,5 +126,3 @@ class View:
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        with self._held():
-            pass  # what was left to be closed
