@@ -158,7 +158,7 @@ def _run(
 
         stored = None if recovered.was_reset else recovered.cut
         snapshots = Snapshots(store, view, writer, stored, keep=config.log.keep, spill=memory.spill)
-        intake = Intake(config.input.queue_limit, counters, config.input.pose_queue)
+        intake = Intake(config.input.queue_limit, counters)
         events = session.declare_publisher(
             keys.events, encoding=json_encoding("Event"), congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.DATA_HIGH,
@@ -180,7 +180,7 @@ def _run(
             Intervals(config.log.checkpoint_interval, config.store.snapshot_interval),
             publish_event=publish, take_snapshot=cut, before_reset=emptied.note,
         )  # fmt: skip
-        control = Control(sequencer, snapshots, cut, config.service.control_timeout)
+        control = Control(sequencer, snapshots, cut)
 
         parts = Parts(sequencer, writer, intake, snapshots, memory, counters)
 

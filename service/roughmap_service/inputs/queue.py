@@ -20,6 +20,10 @@ LEAST_COST = 256
 """Bytes that a queued cloud counts for at least: an empty one costs memory too."""
 
 
+MAX_QUEUED_POSES = 10_000
+"""Poses and transforms of all robots that may be queued: seconds of them, in a few MB."""
+
+
 @dataclass(slots=True)
 class InputMessage:
     """An input that passed the checks on its key, encoding and size, not yet decoded."""
@@ -80,7 +84,7 @@ class Intake:
 
     limit: int
     counters: Counters
-    pose_limit: int = 10_000
+    pose_limit: int = MAX_QUEUED_POSES
     _commands: deque[Command] = field(default_factory=deque)
     _robots: dict[str, _Held] = field(default_factory=dict)
     _number: int = 0

@@ -207,7 +207,7 @@ def read_file(path: Path) -> Iterator[LogItem]:
     """A file's beginning, inputs and events; outputs and foreign channels are passed over. Errors as `raw_records`."""
     metadata = read_metadata(path)
     try:
-        config = Config.model_validate(metadata.configuration)
+        config = Config.from_log(metadata.configuration)
     except ValueError as error:
         raise LogError(f"{path}: its configuration can't be read: {str(error).splitlines()[0]}") from None
     yield FileStart(path, metadata, config)

@@ -130,7 +130,7 @@ def _anew(item: LogItem, change: Callable[[Config], Config]) -> LogItem:
 def config_of(file: RunFile) -> Config:
     """The settings with which a file begins; LogError if they can't be read."""
     try:
-        return Config.model_validate(file.metadata.configuration)
+        return Config.from_log(file.metadata.configuration)
     except ValueError as error:
         raise LogError(f"{file.path}: its configuration can't be read: {str(error).splitlines()[0]}") from None
 

@@ -67,7 +67,6 @@ class RunState:
         for buffer in self.poses.values():
             buffer.history_ns = settings.history_ns
             buffer.jump_m, buffer.jump_rad = settings.jump_m, settings.jump_rad
-            buffer.max_poses, buffer.max_transforms = settings.max_poses, settings.max_transforms
 
     def apply(self, event: Event) -> Event:
         """Do what the event says and return it as it came out.
@@ -128,9 +127,7 @@ class RunState:
         """The robot's pose buffer, made when it is first heard."""
         if robot not in self.poses:
             s = self.settings
-            self.poses[robot] = PoseBuffer(
-                s.frame_id, s.history_ns, s.jump_m, s.jump_rad, s.max_poses, s.max_transforms
-            )
+            self.poses[robot] = PoseBuffer(s.frame_id, s.history_ns, s.jump_m, s.jump_rad)
         return self.poses[robot]
 
 
