@@ -15,6 +15,7 @@ import zenoh
 from roughmap_schemas import Config, Keys, QueryRecord, RunMetadata, configuration_digest, model_bytes
 from roughmap_schemas.config_load import LoadedConfig
 from roughmap_schemas.encodings import json_encoding
+from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.kinds import Kind
 from roughmap_schemas.messages import LogState
 from roughmap_service.answers.emptied import Emptied
@@ -61,11 +62,13 @@ SPILL_NAME = "tiles.spill"
 """The spill file in the log's directory, if no other is named."""
 
 
-class ServeError(Exception):
+class ServeError(ReportedError):
     """The service can't start; one line that names the cause and the mend."""
 
+    exit_code = 2
 
-class ServiceFailed(Exception):
+
+class ServiceFailed(ReportedError):
     """The service can't go on; one line that names the cause."""
 
 

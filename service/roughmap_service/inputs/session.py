@@ -12,6 +12,7 @@ from roughmap_client.access import add_access, endpoints_of, read_zenoh_file, se
 from roughmap_schemas import ConfigFault, Keys
 from roughmap_schemas.config import without_secrets
 from roughmap_schemas.config_load import LoadedConfig
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.host.exposure import exposures, weaknesses
 
 log = logging.getLogger(__name__)
@@ -24,7 +25,7 @@ LEAST_BOUND = 4 << 20
 """Bytes that a message may always have: a question may come with 1 MiB of places."""
 
 
-class TransportError(Exception):
+class TransportError(ReportedError):
     """The session can't be opened; one line that names what to change."""
 
 

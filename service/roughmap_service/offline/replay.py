@@ -6,6 +6,7 @@ from dataclasses import replace as with_values
 from pathlib import Path
 
 from roughmap_schemas import CheckpointEvent, CloudReason, Config, Event, IntegrationEvent, configuration_digest
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.journal.reader import (
     EventRecord,
     FileStart,
@@ -23,8 +24,10 @@ from roughmap_service.run.settings import Settings, new_map
 from roughmap_service.store.map_db import Store
 
 
-class ReplayError(Exception):
-    """These logs can't be replayed as asked; one line. Exit 2."""
+class ReplayError(ReportedError):
+    """These logs can't be replayed as asked; one line."""
+
+    exit_code = 2
 
 
 @dataclass

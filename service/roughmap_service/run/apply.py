@@ -20,6 +20,7 @@ from roughmap_schemas import (
     ResetEvent,
     Transform,
 )
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.run.inbox import INTEGRATED
 from roughmap_service.run.poses import Pose, PoseBuffer, trajectory
 from roughmap_service.run.settings import Settings
@@ -28,7 +29,7 @@ PLACED = (INTEGRATED, CloudReason.EMPTY, CloudReason.TOO_MANY_TILES)
 """Outcomes that only placing the cloud tells; all others are known before."""
 
 
-class RunError(Exception):
+class RunError(ReportedError):
     """A log that does not hold what its events name."""
 
 
