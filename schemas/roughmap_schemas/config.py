@@ -28,6 +28,14 @@ from roughmap_schemas.sections import (
 )
 from roughmap_schemas.values import Frame, Name
 
+REMOVED: Final = {
+    "input.max_poses": "20000 poses per robot",
+    "input.max_transforms": "1000 transforms per robot",
+    "input.pose_queue": "10000 queued poses and transforms",
+    "service.control_timeout": "30 s",
+}
+"""Settings of earlier versions, and the constant that took the place of each."""
+
 HIDDEN: Final = "hidden"
 """Stands where a secret is not shown."""
 
@@ -61,6 +69,17 @@ class Config(Section):
     service: ServiceConfig = ServiceConfig()
     keys: Annotated[dict[str, str], AfterValidator(_all_keys)] = Field(default={})
     """Key expressions by name, see ``keys.TEMPLATES``; complete after loading."""
+
+    @classmethod
+    def from_log(cls, values: dict[str, Any]) -> "Config":
+        """Make the settings from a log file's metadata, without those in ``REMOVED``; raises ``ValueError``."""
+
+        def kept(section: str, table: Any) -> Any:
+            if not isinstance(table, dict):
+                return table
+            return {name: value for name, value in table.items() if f"{section}.{name}" not in REMOVED}
+
+        return cls.model_validate({section: kept(section, table) for section, table in values.items()})
 
     @model_validator(mode="before")
     @classmethod

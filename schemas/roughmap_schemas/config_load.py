@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel, ValidationError
 
-from roughmap_schemas.config import Config, without_secrets
+from roughmap_schemas.config import REMOVED, Config, without_secrets
 from roughmap_schemas.faults import ConfigFault
 from roughmap_schemas.keys import NAME_PATTERN, NAME_WORDS, TEMPLATES
 from roughmap_schemas.values import LEAST
@@ -125,6 +125,8 @@ def _deep(prefix: str, table: Mapping[str, Any], depth: int) -> Iterator[str]:
 def _put(values: dict[str, Any], given: dict[str, str], parts: tuple[str, ...], value: object, source: str) -> None:
     """Set one value over what is there; raises ``ConfigFault`` for a key that doesn't exist."""
     dotted = ".".join(parts)
+    if dotted in REMOVED:
+        raise ConfigFault(f"{source}: {dotted}: {_removed(dotted)}")
     if parts[0] in FILES_ONLY:
         raise ConfigFault(f"{source}: {dotted}: {parts[0]} can be set in a file only, as [{parts[0]}.NAME] tables")
     section = _section(parts[0])
@@ -187,7 +189,9 @@ def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> s
     dotted = ".".join(parts)
     text = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     text = text.replace(f"{LEAST:.30f}", f"{LEAST:g}")  # as pydantic writes it, and as a person reads it
-    if first["type"] == "extra_forbidden":
+    if dotted in REMOVED:
+        text = _removed(dotted)
+    elif first["type"] == "extra_forbidden":
         allowed = _allowed(parts[:-1])
         text = f"unknown key{_meant(parts[-1], allowed)} (allowed: {', '.join(allowed)})"
     elif first["type"] == "missing" and isinstance(first["loc"][-1], int):
@@ -213,6 +217,11 @@ def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> s
     source = next((given[known] for known in _prefixes(dotted) if known in given), otherwise)
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
     return f"{source.removeprefix('file ')}: {dotted}: {text}{more}".replace("\n", " ")
+
+
+def _removed(dotted: str) -> str:
+    """Return what to do about a setting that no longer exists."""
+    return f"is no longer a setting (always {REMOVED[dotted]}): remove it"
 
 
 def _meant(key: str, allowed: Sequence[str]) -> str:

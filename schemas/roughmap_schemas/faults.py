@@ -1,10 +1,21 @@
-"""The errors of the contract: what was sent was wrong, and how."""
+"""The base of all errors, and the errors of the contract: what was sent was wrong, and how."""
+
+from typing import ClassVar
 
 from roughmap_schemas.reasons import QueryCode, Refusal
 
 
-class ContractError(Exception):
-    """The base of every error that this package raises on purpose."""
+class ReportedError(Exception):
+    """An error with a known cause. Its text is one line that names the cause; a command prints it and exits.
+
+    ``exit_code`` is 2 where the command line, a setting or an input file must be changed, else 1.
+    """
+
+    exit_code: ClassVar[int] = 1
+
+
+class ContractError(ReportedError):
+    """The base of the errors that this package raises."""
 
 
 class Fault(ContractError):
@@ -35,12 +46,16 @@ class MessageFault(Fault):
 class QueryFault(Fault):
     """A query is answered with an error; ``code`` is a ``QueryCode``."""
 
+    exit_code = 2
+
     def __init__(self, code: str, message: str) -> None:
         super().__init__(QueryCode(code), message)
 
 
 class ConfigFault(ContractError):
     """A setting can't be used; one line that names the source, the key and what is allowed."""
+
+    exit_code = 2
 
 
 class UnknownEventKind(ContractError):

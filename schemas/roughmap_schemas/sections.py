@@ -165,12 +165,6 @@ class InputConfig(Section):
     max_robots: AtLeastOne = 256
     """Robots that are heard where ``robots`` names none: each costs a buffer of poses; one more is refused as
     `unknown_robot`."""
-    max_poses: Annotated[int, Field(ge=2), NUMBER] = 20_000
-    """Poses kept a robot, whatever ``pose_history``: 10 s at 2 kHz."""
-    max_transforms: AtLeastOne = 1_000
-    """Transforms kept a robot: one a frame is needed, the rest serve odometry that arrives late."""
-    pose_queue: AtLeastOne = 10_000
-    """Poses and transforms of all robots that wait to be taken up: seconds, and a few MB; beyond it ``busy``."""
 
     @model_validator(mode="after")
     def _fits(self) -> "InputConfig":
@@ -316,8 +310,6 @@ class ServiceConfig(Section):
     """Threads that integrate; 0: as many as numba takes."""
     alive_wait: NotNegative = 15.0
     """How long another instance's token is waited for; a dead one's lives until its lease ends."""
-    control_timeout: Positive = 30.0
-    """How long an operator's request (snapshot, reset) may take."""
     log_format: Literal["auto", "json", "text"] = "auto"
     """Of the lines on stderr; "auto" is text on a terminal and JSON elsewhere."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"

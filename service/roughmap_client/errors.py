@@ -1,5 +1,7 @@
 """What can go wrong for a planner, as one tree."""
 
+from roughmap_schemas.faults import ReportedError
+
 __all__ = [
     "BadArgument",
     "ContractMismatch",
@@ -13,7 +15,7 @@ __all__ = [
 ]
 
 
-class RoughMapError(Exception):
+class RoughMapError(ReportedError):
     """Base of everything that the client raises of its own accord."""
 
 

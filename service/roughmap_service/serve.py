@@ -15,6 +15,7 @@ import zenoh
 
 from roughmap_schemas import Config, Keys, configuration_digest
 from roughmap_schemas.config_load import LoadedConfig
+from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.messages import LogState
 from roughmap_service.answers.emptied import Emptied
 from roughmap_service.answers.events import EventPublisher
@@ -58,11 +59,13 @@ LOOK_SECONDS = 0.5
 """How often the main thread looks whether a part has failed or hangs."""
 
 
-class ServeError(Exception):
+class ServeError(ReportedError):
     """The service can't start; one line that names cause and remedy."""
 
+    exit_code = 2
 
-class ServiceFailed(Exception):
+
+class ServiceFailed(ReportedError):
     """The service can't go on; one line that names the cause."""
 
 
@@ -252,7 +255,7 @@ class Service:
         config, view, keys, identity = self._config, self._view, self._keys, self._identity
         self._parts = Parts(self._sequencer, self._writer, self._queue, self._snapshots, self._memory, self._counters)
         self._status = Status(view, self._counters, config, identity, version("roughmap"), self._progress)
-        control = Control(self._sequencer, self._snapshots, self._take_snapshot, config.service.control_timeout)
+        control = Control(self._sequencer, self._snapshots, self._take_snapshot)
         records = OutputRecords(self._writer, keys, self._counters, queries=config.log.queries)
         self._answers = stack.enter_context(
             Answers(

@@ -167,6 +167,7 @@ def test_whence_each_limit_came(file: Path) -> None:
         ("ROUGHMAP_MAP_NAME", "map_name: unknown key"),
         ("ROUGHMAP_MAP__NAME__X", "map.name.x: unknown key"),
         ("ROUGHMAP_KEYS__TILE", "keys.tile: unknown key"),
+        ("ROUGHMAP_INPUT__MAX_POSES", "input.max_poses: is no longer a setting (always 20000 poses per robot)"),
     ],
 )
 def test_unknown_variables_and_keys(name: str, words: str) -> None:

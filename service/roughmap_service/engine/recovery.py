@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from roughmap_schemas import Config, ResetEvent, configuration_digest
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.host.disk import sync
 from roughmap_service.journal.file import FILE_NAME
 from roughmap_service.journal.reader import (
@@ -43,8 +44,10 @@ class Stopped(Exception):
     """The service was asked to end while it was still on its way to the map."""
 
 
-class IdentityError(Exception):
+class IdentityError(ReportedError):
     """The configuration names another map than the store or log holds."""
+
+    exit_code = 2
 
 
 @dataclass

@@ -12,6 +12,7 @@ from roughmap_client.access import add_access, endpoints_of, read_zenoh_file, se
 from roughmap_schemas import ConfigFault, Keys
 from roughmap_schemas.config import without_secrets
 from roughmap_schemas.config_load import LoadedConfig
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.host.exposure import exposures, weaknesses
 
 logger = logging.getLogger(__name__)
@@ -23,7 +24,7 @@ LEAST_BOUND = 4 << 20
 """Message size in bytes that is always allowed: a query for cells may carry 1 MiB of places."""
 
 
-class TransportError(Exception):
+class TransportError(ReportedError):
     """The session can't be opened; the text names what to change."""
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace as with_values
 from pathlib import Path
 
 from roughmap_schemas import CheckpointEvent, CloudReason, Config, Event, IntegrationEvent, configuration_digest
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.journal.reader import (
     EventRecord,
     FileStart,
@@ -24,8 +25,10 @@ from roughmap_service.store.map_db import Store
 from roughmap_service.store.snapshots import take_cut
 
 
-class ReplayError(Exception):
-    """These logs can't be replayed as asked; one line. Exit 2."""
+class ReplayError(ReportedError):
+    """These logs can't be replayed as asked; one line."""
+
+    exit_code = 2
 
 
 @dataclass
@@ -131,7 +134,7 @@ def _anew(item: LogItem, change: Callable[[Config], Config]) -> LogItem:
 def config_of(file: RunFile) -> Config:
     """The settings with which a file begins; LogError if they can't be read."""
     try:
-        return Config.model_validate(file.metadata.configuration)
+        return Config.from_log(file.metadata.configuration)
     except ValueError as error:
         raise LogError(f"{file.path}: its configuration can't be read: {str(error).splitlines()[0]}") from None
 

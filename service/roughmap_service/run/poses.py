@@ -26,6 +26,13 @@ STALE_ROW = 10
 """So many stale poses in a row with rising stamps mean that the clock was set back (the design's)."""
 
 
+MAX_POSES = 20_000
+"""Poses kept of a robot, whatever the history: 10 s at 2 kHz."""
+
+MAX_TRANSFORMS = 1_000
+"""Transforms kept of a robot. One per frame is needed; the others serve odometry that arrives late."""
+
+
 @dataclass(frozen=True, slots=True)
 class Pose:
     """A robot's base in the map frame. ``covariance`` (6, 6) in map axes, None where the message told none."""
@@ -59,8 +66,8 @@ class PoseBuffer:
     history_ns: int
     jump_m: float
     jump_rad: float
-    max_poses: int = 20_000
-    max_transforms: int = 1_000
+    max_poses: int = MAX_POSES
+    max_transforms: int = MAX_TRANSFORMS
     poses: list[Pose] = field(default_factory=list)
     transforms: dict[str, list[StampedTransform]] = field(default_factory=dict)
     horizon_ns: int = 0

@@ -28,6 +28,7 @@ from roughmap_schemas import (
     PoseReason,
     ResetEvent,
 )
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.run.decoding import Content
 from roughmap_service.run.duplicates import Duplicates, Identity
 from roughmap_service.run.inbox import INTEGRATED, Arrival, Inbox, LoggedCloud, Proposal
@@ -43,7 +44,7 @@ REPLAYED = Arrival(0.0)
 """Of a message that a replay takes: nothing waits then."""
 
 
-class RunError(Exception):
+class RunError(ReportedError):
     """The log contradicts itself: an event names something that the log does not hold."""
 
 
@@ -212,15 +213,12 @@ class Run:
         for buffer in self.poses.values():
             buffer.history_ns = settings.history_ns
             buffer.jump_m, buffer.jump_rad = settings.jump_m, settings.jump_rad
-            buffer.max_poses, buffer.max_transforms = settings.max_poses, settings.max_transforms
 
     def buffer(self, robot: str) -> PoseBuffer:
         """The robot's pose buffer, made when the robot is first heard."""
         if robot not in self.poses:
             s = self.settings
-            self.poses[robot] = PoseBuffer(
-                s.frame_id, s.history_ns, s.jump_m, s.jump_rad, s.max_poses, s.max_transforms
-            )
+            self.poses[robot] = PoseBuffer(s.frame_id, s.history_ns, s.jump_m, s.jump_rad)
         return self.poses[robot]
 
     def _named_poses(self, proposal: Proposal) -> list[Pose]:

@@ -43,8 +43,6 @@ class Settings:
         self.max_turn = inputs.max_turn
         self.queue_limit = inputs.queue_limit
         self.max_robots = inputs.max_robots
-        self.max_poses = inputs.max_poses
-        self.max_transforms = inputs.max_transforms
         self.max_new_tiles = config.map.max_new_tiles
         self.max_tiles = config.map.max_tiles
         pose_sigma = np.minimum(np.array(inputs.pose_sigma, np.float64), LARGEST_SIGMA)

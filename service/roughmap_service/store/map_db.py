@@ -15,6 +15,7 @@ import zstandard
 from roughmap import CELL_DTYPE, STATE_VERSION, RoughMap
 from roughmap.arrays import I8, Records
 from roughmap.reading.frozen import FrozenMap
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.host.disk import make_directory, sync_directory
 
 TILE_BYTES = 64 * 64 * CELL_DTYPE.itemsize
@@ -35,8 +36,10 @@ READ_INDEX = "SELECT tx, ty, oldest_ns, newest_ns, checksum, digest"
 """What is stored of a tile beside its records."""
 
 
-class StoreError(Exception):
+class StoreError(ReportedError):
     """A map.db that can't be used; one line that names the file, what is wrong and what to do."""
+
+    exit_code = 2
 
 
 class DamagedStore(StoreError):

@@ -17,6 +17,7 @@ from roughmap.arrays import I4, I8, Records
 from roughmap.cell import CELL_DTYPE, TILE_CELLS
 from roughmap.tiles.shelf import Shelf, runs_of
 from roughmap.tiles.slots import SLOT_BYTES
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.store.map_db import DamagedStore, StoreError
 from roughmap_service.store.stored_tiles import StoredTiles
 
@@ -28,8 +29,10 @@ STEP = 1024
 """Places by which the tables grow."""
 
 
-class SpillError(Exception):
+class SpillError(ReportedError):
     """A spill file that can't be used, or does not hold what was written; one line."""
+
+    exit_code = 2
 
 
 Write = Callable[[int, Sequence[memoryview], int], int]
