@@ -8,7 +8,7 @@ import yaml
 
 from roughmap import CELL_DTYPE
 from roughmap.tiles.slots import SLOT_BYTES
-from roughmap_client.client import AGAIN_MOST_S
+from roughmap_client.client import MAX_RETRY_S
 from roughmap_schemas import Config
 from roughmap_schemas.layers import LAYERS
 from roughmap_service.answers import queryables as answers
@@ -50,7 +50,7 @@ def rows(name: str, head: str) -> list[list[str]]:
         ("OPERATIONS.md", "stored in `map.db` every {:g} s;", DEFAULT.store.snapshot_interval),
         ("OPERATIONS.md", "a snapshot every {:g} s: at most", DEFAULT.store.snapshot_interval),
         ("RELIABILITY.md", "after {:g} s it counts as a log that can't be written", disk.HANG_SECONDS),
-        ("RELIABILITY.md", "twice as long each time, up to {:g} s", AGAIN_MOST_S),
+        ("RELIABILITY.md", "twice as long each time, up to {:g} s", MAX_RETRY_S),
         ("RELIABILITY.md", "an overload ends when none was dropped for {:g} s", counters.OVERLOAD_SECONDS),
         ("RELIABILITY.md", "threads give way after {:g} ms", SWITCH_SECONDS * 1000),
         ("README.md", "`height_tolerance` ({:g} cm in all)", DEFAULT.map.height_tolerance * 100),
