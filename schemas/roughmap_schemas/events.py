@@ -1,4 +1,4 @@
-"""Events: each change of the map and each decision on a cloud, as the log holds them and as they are published."""
+"""Events: every change of the map and every decision on a cloud, as logged and published."""
 
 import json
 from typing import Annotated, Final, Literal
@@ -19,10 +19,10 @@ class _Closed(Message):
 
 
 class IntegrationEvent(_Closed):
-    """What was done with one cloud.
+    """The decision on one cloud.
 
-    ``poses`` are (odometry input, transform input or 0), ascending by stamp: replay places the cloud with exactly
-    these. ``sequence`` is the map's after the event; it rose by one if ``accepted`` is at least 1.
+    ``poses`` are (odometry input, transform input or 0), ascending by stamp; replay places the cloud with exactly
+    these. ``sequence`` is the map's after the event, one higher than before if ``accepted`` is at least 1.
     """
 
     kind: Literal["integration"] = "integration"
@@ -46,7 +46,7 @@ class CheckpointEvent(_Closed):
 
 
 class ResetEvent(_Closed):
-    """The map was emptied; ``epoch`` and ``sequence`` are those that begin with it."""
+    """The map was emptied; ``epoch`` and ``sequence`` are the new ones."""
 
     kind: Literal["reset"] = "reset"
     epoch: Number
@@ -57,16 +57,16 @@ Event = IntegrationEvent | CheckpointEvent | ResetEvent
 
 EVENT: Final[TypeAdapter[Event]] = TypeAdapter(Annotated[Event, Field(discriminator="kind")])
 KINDS: Final = ("integration", "checkpoint", "reset")
-"""``forget``, ``edit`` and ``remap`` are reserved for later versions; to this one they are as unknown as any other."""
+"""``forget``, ``edit`` and ``remap`` are reserved for later versions, and unknown to this one."""
 
 
 def encode_event(event: Event) -> bytes:
-    """Give the event's JSON, ``kind`` first."""
+    """Return the event's JSON, ``kind`` first."""
     return model_bytes(event)
 
 
 def decode_event(payload: bytes) -> Event:
-    """Read an event; raises ``UnknownEventKind``, or ``BadJson`` for what is no event at all."""
+    """Read an event; raises ``UnknownEventKind``, or ``BadJson`` if it is not an event."""
     try:
         return EVENT.validate_json(payload)
     except ValidationError as error:

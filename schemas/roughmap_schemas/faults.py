@@ -19,9 +19,9 @@ class ContractError(ReportedError):
 
 
 class Fault(ContractError):
-    """Something that came from outside breaks the contract.
+    """Something received breaks the contract.
 
-    ``code`` is the word that goes on the wire, ``message`` one line that says what was expected and what was found.
+    ``code`` is the code of the error reply; ``message`` is one line that says what was expected and what was found.
     """
 
     code: str
@@ -37,14 +37,14 @@ class Fault(ContractError):
 
 
 class MessageFault(Fault):
-    """A message is refused before it is logged; ``code`` is a ``Refusal``."""
+    """A message that must be refused; ``code`` is a ``Refusal``."""
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(Refusal(code), message)
 
 
 class QueryFault(Fault):
-    """A query is answered with an error; ``code`` is a ``QueryCode``."""
+    """A query that must be answered with an error; ``code`` is a ``QueryCode``."""
 
     exit_code = 2
 
@@ -53,26 +53,26 @@ class QueryFault(Fault):
 
 
 class ConfigFault(ContractError):
-    """A setting can't be used; one line that names the source, the key and what is allowed."""
+    """An invalid setting; one line that names its source, its key and what is allowed."""
 
     exit_code = 2
 
 
 class UnknownEventKind(ContractError):
-    """An event of a kind that this version doesn't know: a reader stops there, since it can't tell what it changed."""
+    """An event of an unknown kind. A reader that rebuilds the map must stop there: it cannot know what changed."""
 
     kind: str
 
     def __init__(self, kind: str) -> None:
-        super().__init__(f"unknown kind of event: {kind!r}")
+        super().__init__(f"unknown kind of event: {kind!r}; read this log with a newer release of roughmap")
         self.kind = kind
 
 
 def bad_message(message: str) -> MessageFault:
-    """Make the fault for a payload that can't be used."""
+    """Return the fault for an unusable payload."""
     return MessageFault(Refusal.BAD_MESSAGE, message)
 
 
 def too_large(message: str) -> MessageFault:
-    """Make the fault for a payload that passes a limit."""
+    """Return the fault for a payload over a limit."""
     return MessageFault(Refusal.TOO_LARGE, message)

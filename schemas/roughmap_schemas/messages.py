@@ -24,16 +24,16 @@ from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refus
 
 
 def _null_if_unknown(value: object) -> object:
-    """Turn NaN and the infinities into null, so that a model can be made from a layer's value as it is."""
+    """Turn NaN and infinities into null, so that models take a layer's values as they are."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Known = Annotated[Finite | None, BeforeValidator(_null_if_unknown)]
-"""A float, or null where it is not known."""
+"""A float, or null if not known."""
 
 Hex32 = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
-"""128 bits in hexadecimal digits: an instance, a run, a digest."""
+"""128 bits in hexadecimal: an instance, a run, a digest."""
 
 Number = Annotated[int, Field(ge=0)]
 
@@ -78,11 +78,11 @@ M = TypeVar("M", bound=Message)
 
 
 class BadJson(ContractError):
-    """A JSON text is not the model that it should be; the message names the model and the first fault."""
+    """A JSON text is not the expected model; the message names the model and the first fault."""
 
 
 def model_bytes(model: BaseModel) -> bytes:
-    """Give the model's JSON in UTF-8, members in declared order."""
+    """Return the model's JSON in UTF-8, members in declared order."""
     return model.model_dump_json().encode()
 
 
@@ -100,12 +100,12 @@ class QueryError(Reply):
     """An error reply to any request."""
 
     code: str
-    """A ``QueryCode``, or for an ingest request a ``Refusal``."""
+    """A ``QueryCode``; for ingest, a ``Refusal``."""
     message: str
 
 
 class Receipt(Reply):
-    """The log holds the message, fsynced, under this input number; what becomes of it is told by its event."""
+    """The reply to an ingested message: it is in the log, on the disk, under this input number."""
 
     input: Annotated[int, Field(ge=1)]
     epoch: Number
@@ -114,7 +114,7 @@ class Receipt(Reply):
 
 
 class TileInfo(Reply):
-    """The attachment of a tile reply. For ``region``: x, y and digest null, z the level, answer_tiles 1."""
+    """The attachment of a tile, region or update. For a region, x, y and digest are null and answer_tiles is 1."""
 
     map: str
     instance: str
@@ -123,26 +123,26 @@ class TileInfo(Reply):
     x: int | None
     y: int | None
     sequence: Number
-    """Of the last change of the tile's cells or of the ring around it."""
+    """Sequence of the last change of the tile's cells or of the ring around it."""
     map_sequence: Number
-    """Of the map, at the answer."""
+    """Sequence of the map that this reply shows."""
     answer_tiles: Number
-    """How many replies make this answer whole."""
+    """Number of replies in the whole answer."""
     oldest_ns: Number
     newest_ns: Number
     known_cells: Number
     digest: str | None
     configuration_digest: str
     compression: Literal["zstd"] | None = None
-    """Of the Grid's data."""
+    """Compression of the Grid's data."""
 
 
 class CellState(Message):
-    """A cell's record, as the map keeps it."""
+    """A cell's record in the map."""
 
     count: Number
     updated: Number
-    """Whole seconds since the Unix epoch: the newest point's."""
+    """Stamp of the newest point, in whole seconds since the Unix epoch."""
     weight: Finite
     weight_sq: Finite
     mean: Finite
@@ -153,7 +153,7 @@ class CellState(Message):
 
 
 class CellEntry(Message):
-    """One asked place: x, y as asked (metres), the cell it falls in, its state (null if never hit) and its layers."""
+    """One place of a query: x, y in metres as asked, its cell, the cell's state (null if unknown) and layers."""
 
     x: Finite
     y: Finite
@@ -164,7 +164,7 @@ class CellEntry(Message):
 
 
 class CellAnswer(Reply):
-    """The answer to a ``cells`` query, in the asked order."""
+    """The answer to a ``cells`` query; places in the order of the query."""
 
     map: str
     instance: str
@@ -174,7 +174,7 @@ class CellAnswer(Reply):
 
 
 class QueryRecord(Message):
-    """What the log keeps of a query: the selector (2,000 characters of it), what was answered, how long it took."""
+    """A query in the log: 2,000 characters of its selector, the number of replies, and how long it took."""
 
     selector: str
     tiles: Number
@@ -185,14 +185,14 @@ class QueryRecord(Message):
 
 
 class UpdateRecord(Message):
-    """What the log keeps of a published tile where ``log.updates`` is ``records``."""
+    """A published tile in the log, if ``log.updates`` is ``records``."""
 
     key: str
     info: TileInfo
 
 
 class ControlAnswer(Reply):
-    """The answer to an operator's request."""
+    """The answer to ``snapshot`` or ``reset``."""
 
     sequence: Number
     epoch: Number
@@ -221,7 +221,7 @@ class PoseCounts(Message):
 
 
 class Lag(Message):
-    """Seconds from a cloud's arrival until queries see it, over the last 10 s; null when there was none."""
+    """Seconds from a cloud's arrival until queries see it, over the last 10 s; null if there was none."""
 
     p50: Known = None
     p99: Known = None
@@ -251,7 +251,7 @@ class LogState(Message):
 
 
 class MapStatus(Reply):
-    """How the service and its map are; counts are since this start."""
+    """The state of the service and its map; counts are since this start."""
 
     map: str
     run: str
@@ -266,7 +266,7 @@ class MapStatus(Reply):
     bounds: tuple[Finite, Finite, Finite, Finite] | None
     """xmin, ymin, xmax, ymax in metres; null if the map has none."""
     extent: tuple[Finite, Finite, Finite, Finite] | None
-    """Of the known tiles, in metres; null while there are none."""
+    """xmin, ymin, xmax, ymax of the known tiles in metres; null if there are none."""
     error_model: Literal["point", "cuboid", "ellipsoid"]
     configuration_digest: str
     health: Literal["ok", "overloaded", "degraded"]
@@ -280,10 +280,10 @@ class MapStatus(Reply):
     refused: dict[Annotated[Refusal, *OPEN], Number]
     """Messages that never reached the log."""
     gaps: dict[str, Number]
-    """Missing message numbers a robot, of published messages only. Its clouds, poses and transforms count each for
-    themselves (a publisher each), by the attachment of 8 bytes."""
+    """Missing numbers of published messages, by robot: the sum over its clouds, poses and transforms, which are
+    numbered separately by their 8-byte attachments."""
     jumps: dict[str, Number]
-    """Jumps of a robot's frame transform."""
+    """Jumps of a robot's frame transforms, by robot."""
     lag_s: Lag
     rates: Rates
     memory_bytes: Number

@@ -1,4 +1,4 @@
-"""roughmap for planners: ask a service for its map, and feed it, over Zenoh."""
+"""The Python client: query a roughmap service for its map, and feed it, over Zenoh."""
 
 from roughmap_client.client import RoughMapClient
 from roughmap_client.errors import (

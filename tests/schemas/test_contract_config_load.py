@@ -205,10 +205,10 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     assert fault(bad).startswith(f"{bad}: can't be read: No such file")
     assert fault(tmp_path).startswith(f"{tmp_path}: can't be read: Is a directory")
     for content, words in (
-        (b"[map\n", "is no TOML"),
-        (b"\xff\xfe", "is no UTF-8 text"),
+        (b"[map\n", "invalid TOML"),
+        (b"\xff\xfe", "not UTF-8 text"),
         (b"# " + b"x" * (1 << 20), "expected at most 1048576 bytes"),
-        (b"a = " + b"[" * 5000, "is "),
+        (b"a = " + b"[" * 5000, "nested too deep"),
     ):
         bad.write_bytes(content)
         assert fault(bad).startswith(f"{bad}: {words}")

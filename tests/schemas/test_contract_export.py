@@ -119,7 +119,7 @@ def test_check_tells_what_is_not_up_to_date(change: str, tmp_path: Path, capsys:
         (folder / name).write_text(text.replace('"integer"', '"number"'), encoding="utf-8")
     assert export.main(arguments) == 1
     said = capsys.readouterr().err
-    assert f"{folder / name}: is not up to date" in said
+    assert f"{folder / name}: out of date" in said
     assert "python -m roughmap_schemas.export" in said
     assert export.main(arguments[1:]) == 0
     assert export.main(arguments) == 0

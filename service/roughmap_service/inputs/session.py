@@ -8,7 +8,7 @@ from urllib.parse import quote
 
 import zenoh
 
-from roughmap_client.access import add_access, endpoints_of, read_zenoh_file, setting, told
+from roughmap_client.access import add_access, endpoints_of, read_zenoh_file, setting, zenoh_message
 from roughmap_schemas import ConfigFault, Keys
 from roughmap_schemas.config import without_secrets
 from roughmap_schemas.config_load import LoadedConfig
@@ -84,7 +84,7 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        text = told(error, config)
+        text = zenoh_message(error, config)
         if text.startswith("Unable to connect"):
             remedy = "is the router running, and does it accept the certificate or the user and password?"
         else:
