@@ -42,7 +42,7 @@ from roughmap_service.inputs.session import (
     zenoh_config,
 )
 from roughmap_service.inputs.subscriptions import ZenohInputs
-from roughmap_service.journal.file import LogRecord
+from roughmap_service.journal.records import LogRecord
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.run.view import View
 from roughmap_service.store.map_db import Store

@@ -16,8 +16,8 @@ from roughmap_schemas.kinds import Kind
 from roughmap_service.engine.sequencer import Intervals, Sequencer
 from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.queue import InputMessage, Intake
-from roughmap_service.journal.file import LogRecord
 from roughmap_service.journal.items import RECORD_OVERHEAD, Sync
+from roughmap_service.journal.records import LogRecord
 from roughmap_service.journal.writer import LogWriter
 
 LIMIT = 10_000

@@ -8,7 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from service_tools import Run, read_back
 
-from roughmap_service.journal.reader import LogError, LogItem, RunFile, TornLog, read_file, read_metadata, read_run
+from roughmap_service.journal.reader import LogError, RunFile, TornLog, read_file, read_metadata, read_run
+from roughmap_service.journal.records import LogItem
 
 
 @pytest.fixture(scope="module")

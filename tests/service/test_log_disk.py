@@ -15,8 +15,9 @@ from service_tools import T0, WAIT_S, inputs_of, metadata, odometry, read_back, 
 
 from roughmap_schemas.kinds import Kind
 from roughmap_service.journal import writer as log_writer
-from roughmap_service.journal.file import LogRecord, file_name
+from roughmap_service.journal.file import file_name
 from roughmap_service.journal.items import Rotate, Sync
+from roughmap_service.journal.records import LogRecord
 from roughmap_service.journal.writer import LogWriter
 
 RUN = metadata().run

@@ -19,9 +19,10 @@ from service_tools import GROUND, T0, WAIT_S, Run, cloud, config, metadata, odom
 from roughmap_schemas import RunMetadata, encode_cloud
 from roughmap_schemas.kinds import Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
-from roughmap_service.journal.file import LogFile, LogRecord
+from roughmap_service.journal.file import LogFile
 from roughmap_service.journal.items import Rotate, Sync
 from roughmap_service.journal.reader import find_files, read_metadata
+from roughmap_service.journal.records import LogRecord
 from roughmap_service.journal.writer import LogWriter
 
 

@@ -11,8 +11,9 @@ from service_tools import T0, Run, cloud, config, events_of, inputs_of, metadata
 from roughmap_schemas import Config, encode_event
 from roughmap_schemas.kinds import Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
-from roughmap_service.journal.file import LogFile, LogRecord
-from roughmap_service.journal.reader import LogError, LogItem, RunFile, find_files, one_run, read_file, read_run
+from roughmap_service.journal.file import LogFile
+from roughmap_service.journal.reader import LogError, RunFile, find_files, one_run, read_file, read_run
+from roughmap_service.journal.records import LogItem, LogRecord
 
 
 def scans(run: Run, count: int = 2) -> None:

@@ -171,7 +171,7 @@ def _progress(title: str, files: list[Path]) -> "Iterator[Callable[[Step], None]
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from roughmap_service.journal.reader import EventRecord, FileStart
+    from roughmap_service.journal.records import EventRecord, FileStart
 
     console = Console(file=sys.stderr)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("files"),

@@ -15,10 +15,7 @@ from roughmap_service.host.disk import sync
 from roughmap_service.journal.file import FILE_NAME
 from roughmap_service.journal.reader import (
     DamagedLog,
-    FileStart,
-    InputRecord,
     LogError,
-    LogItem,
     RunFile,
     find_files,
     has_summary,
@@ -28,6 +25,7 @@ from roughmap_service.journal.reader import (
     read_metadata,
     read_run,
 )
+from roughmap_service.journal.records import FileStart, InputRecord, LogItem
 from roughmap_service.journal.repair import end_at_damage, least_epoch, put_behind, repair
 from roughmap_service.run.apply import RunError, RunState
 from roughmap_service.run.duplicates import Duplicates

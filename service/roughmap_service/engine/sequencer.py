@@ -28,8 +28,9 @@ from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.admission import admit
 from roughmap_service.inputs.queue import InputMessage, Intake
 from roughmap_service.inputs.subscriptions import refuse
-from roughmap_service.journal.file import LogRecord, event_record
 from roughmap_service.journal.items import Rotate, Sync
+from roughmap_service.journal.recorder import event_record
+from roughmap_service.journal.records import LogRecord
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.run.apply import RunState, span
 from roughmap_service.run.duplicates import Duplicates

@@ -1,29 +1,22 @@
 """One MCAP file of the log: what stands at its beginning, its channels, and how it gets to the disk."""
 
 import contextlib
-import json
 import os
 import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
-from foxglove_schemas_protobuf.Grid_pb2 import Grid
-from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
-from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
-from google.protobuf.descriptor import FileDescriptor
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.writer import CompressionType, Writer
-from pydantic import TypeAdapter
 
-from roughmap_schemas import EVENT, Event, QueryRecord, RunMetadata, UpdateRecord, encode_event
+from roughmap_schemas import RunMetadata
 from roughmap_schemas.kinds import INPUTS, Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
 from roughmap_service.host.disk import sync, sync_directory
-from roughmap_service.journal.channel_schema import plain_schema
+from roughmap_service.journal.channels import channel_schema
+from roughmap_service.journal.records import LogRecord
 
 CHUNK_BYTES = 64 * 1024
 """Small chunks lose little to a kill; a scan is larger and has a chunk of its own."""
@@ -33,39 +26,6 @@ PROFILE = "roughmap"
 COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
 
 OpenFile = Callable[[Path], IO[bytes]]
-
-
-PROTOBUF = {
-    Kind.POINTS: PointCloud.DESCRIPTOR,
-    Kind.ODOMETRY: Odometry.DESCRIPTOR,
-    Kind.TRANSFORM: FrameTransform.DESCRIPTOR,
-    Kind.GRIDS: Grid.DESCRIPTOR,
-}
-JSON: dict[Kind, tuple[str, TypeAdapter[Any]]] = {
-    Kind.EVENTS: ("roughmap.Event", EVENT),
-    Kind.UPDATES: ("roughmap.UpdateRecord", TypeAdapter(UpdateRecord)),
-    Kind.QUERIES: ("roughmap.QueryRecord", TypeAdapter(QueryRecord)),
-}
-
-
-@dataclass(frozen=True, slots=True)
-class LogRecord:
-    """One message on its way to the log. Times in ns; ``number`` is an input's; epoch and sequence are an event's."""
-
-    kind: Kind
-    topic: str
-    payload: bytes
-    received_ns: int
-    stamp_ns: int
-    number: int = 0
-    epoch: int = 0
-    sequence: int = 0
-
-
-def event_record(topic: str, event: Event, now_ns: int) -> LogRecord:
-    """An event on its way to the log."""
-    payload = encode_event(event)
-    return LogRecord(Kind.EVENTS, topic, payload, now_ns, now_ns, epoch=event.epoch, sequence=event.sequence)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,33 +153,12 @@ class LogFile:
 
     def _channel(self, kind: Kind, topic: str) -> int:
         if (kind, topic) not in self._channels:
-            encoding = "protobuf" if kind in PROTOBUF else "json"
+            encoding = channel_schema(kind).message_encoding
             self._channels[kind, topic] = self._writer.register_channel(topic, encoding, self._schema(kind))
         return self._channels[kind, topic]
 
     def _schema(self, kind: Kind) -> int:
         if kind not in self._schemas:
-            if kind in PROTOBUF:
-                name, encoding = PROTOBUF[kind].full_name, "protobuf"
-                data = file_descriptor_set(PROTOBUF[kind].file)
-            else:
-                name, adapter = JSON[kind]
-                encoding, data = "jsonschema", json.dumps(plain_schema(adapter, name)).encode()
-            self._schemas[kind] = self._writer.register_schema(name, encoding, data)
+            schema = channel_schema(kind)
+            self._schemas[kind] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
         return self._schemas[kind]
-
-
-def file_descriptor_set(file: FileDescriptor) -> bytes:
-    """A protobuf file and all that it imports, imports first."""
-    files: dict[str, FileDescriptor] = {}
-
-    def add(one: FileDescriptor) -> None:
-        for needed in one.dependencies:
-            add(needed)
-        files[one.name] = one
-
-    add(file)
-    found = FileDescriptorSet()
-    for one in files.values():
-        one.CopyToProto(found.file.add())
-    return found.SerializeToString()

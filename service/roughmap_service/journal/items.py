@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from roughmap_service.journal.file import LogRecord
+from roughmap_service.journal.records import LogRecord
 
 RECORD_OVERHEAD = 128
 """Bytes that a queued record costs beside its payload."""

@@ -17,10 +17,12 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
-from roughmap_schemas import Config, ContractError, Event, Keys, MessageFault, RunMetadata, decode_event
+from roughmap_schemas import Config, ContractError, Keys, RunMetadata, decode_event
 from roughmap_schemas.kinds import INPUTS, Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
+from roughmap_service.journal.channels import parse_topic
 from roughmap_service.journal.chunks import BoundedFile, records_in
+from roughmap_service.journal.records import EventRecord, FileStart, InputRecord, LogItem
 
 MAGIC = bytes([137, 77, 67, 65, 80, 48, 13, 10])
 """With which an MCAP file begins, and ends if it was closed."""
@@ -57,40 +59,6 @@ class DamagedLog(LogError):
 
 class TornLog(LogError):
     """A file that ends before its footer, as after a kill. What stood before the tear was already given out."""
-
-
-@dataclass(frozen=True, slots=True)
-class FileStart:
-    """The beginning of a file."""
-
-    path: Path
-    metadata: RunMetadata
-    config: Config
-
-
-@dataclass(frozen=True, slots=True)
-class InputRecord:
-    """A logged input. ``number`` counts from 1 over the run, ``record`` inputs and events together; times in ns."""
-
-    number: int
-    record: int
-    kind: Kind
-    robot: str
-    payload: bytes
-    received_ns: int
-    stamp_ns: int
-
-
-@dataclass(frozen=True, slots=True)
-class EventRecord:
-    """A logged event."""
-
-    record: int
-    event: Event
-    received_ns: int
-
-
-LogItem = FileStart | InputRecord | EventRecord
 
 
 def is_closed(path: Path) -> bool:
@@ -216,7 +184,7 @@ def read_file(path: Path) -> Iterator[LogItem]:
     number, position = metadata.first_input - 1, metadata.first_record - 1
     for record, _ in raw_records(path):
         if isinstance(record, Channel):
-            roles[record.id] = role_of(record.topic, keys)
+            roles[record.id] = parse_topic(record.topic, keys)
         elif isinstance(record, Message):
             role = roles.get(record.channel_id)
             if role is None:
@@ -231,22 +199,6 @@ def read_file(path: Path) -> Iterator[LogItem]:
                     yield EventRecord(position, decode_event(record.data), record.log_time)
                 except ContractError as error:
                     raise LogError(f"{path}: event at record {position}: {error}") from None
-
-
-def role_of(topic: str, keys: Keys) -> tuple[Kind, str] | None:
-    """What a channel holds for the run, and of which robot; None for outputs and anything else."""
-    if topic == keys.events:
-        return Kind.EVENTS, ""
-    for kind, parse in (
-        (Kind.POINTS, keys.parse_points),
-        (Kind.ODOMETRY, keys.parse_odometry),
-        (Kind.TRANSFORM, keys.parse_transform),
-    ):
-        try:
-            return kind, parse(topic)
-        except MessageFault:
-            continue
-    return None
 
 
 @dataclass(frozen=True, slots=True)

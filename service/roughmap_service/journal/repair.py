@@ -14,16 +14,8 @@ from mcap.writer import CompressionType, Writer
 
 from roughmap_service.host.disk import made_anew, sync_directory
 from roughmap_service.journal.file import CHUNK_BYTES, PROFILE
-from roughmap_service.journal.reader import (
-    DamagedLog,
-    FileStart,
-    InputRecord,
-    LogError,
-    is_closed,
-    raw_records,
-    read_file,
-    read_metadata,
-)
+from roughmap_service.journal.reader import DamagedLog, LogError, is_closed, raw_records, read_file, read_metadata
+from roughmap_service.journal.records import FileStart, InputRecord
 
 log = logging.getLogger(__name__)
 

@@ -13,8 +13,9 @@ from typing import Self
 from roughmap_schemas import RunMetadata
 from roughmap_service.host.disk import HANG_SECONDS
 from roughmap_service.host.log_lines import note
-from roughmap_service.journal.file import LogFile, LogRecord, Mark, OpenFile, file_name, open_new
+from roughmap_service.journal.file import LogFile, Mark, OpenFile, file_name, open_new
 from roughmap_service.journal.items import Item, Rotate, Sync, cost
+from roughmap_service.journal.records import LogRecord
 
 log = logging.getLogger(__name__)
 

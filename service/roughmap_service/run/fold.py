@@ -15,7 +15,7 @@ from roughmap_schemas import (
     decode_transform,
 )
 from roughmap_schemas.kinds import Kind
-from roughmap_service.journal.reader import FileStart, InputRecord, LogItem
+from roughmap_service.journal.records import FileStart, InputRecord, LogItem
 from roughmap_service.run.apply import RunError, RunState
 from roughmap_service.run.settings import Settings
 
