@@ -2,6 +2,7 @@
 
 import io
 import threading
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,7 @@ def test_the_queue_has_its_limit_and_half_of_it_is_the_runs_alone(tmp_path: Path
 def test_what_comes_in_waits_for_the_disk_and_takes_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It waits where it is bounded and counted: before it is taken up."""
     disk, decided = Disk(), Gathered[bytes]()
+    monkeypatch.setattr("service_tools.LogWriter", partial(LogWriter, queue_limit=LIMIT))
     with Run(tmp_path / "log", open_file=disk.open) as run, memory(tmp_path) as enough:
         writer, full, held = run.writer, threading.Event(), []
         wait_room, put = writer.wait_room, writer.put
@@ -73,7 +75,6 @@ def test_what_comes_in_waits_for_the_disk_and_takes_no_memory(tmp_path: Path, mo
             put(item)
             held.append(writer.held)
 
-        monkeypatch.setattr(writer, "_queue_limit", LIMIT)
         monkeypatch.setattr(writer, "wait_room", waiting)
         monkeypatch.setattr(writer, "put", putting)
         intake, counters = Intake(1 << 20, Counters()), Counters()

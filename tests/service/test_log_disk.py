@@ -98,9 +98,9 @@ class Noticed(logging.Handler):
 @pytest.fixture
 def noticed() -> Iterator[Noticed]:
     handler = Noticed()
-    log_writer.log.addHandler(handler)
+    log_writer.logger.addHandler(handler)
     yield handler
-    log_writer.log.removeHandler(handler)
+    log_writer.logger.removeHandler(handler)
 
 
 operations = st.tuples(st.sampled_from(["open", "write", "fsync"]), st.integers(1, 25))

@@ -5,14 +5,13 @@ import os
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
 from mcap.writer import CompressionType, Writer
 
 from roughmap_schemas import RunMetadata
-from roughmap_schemas.kinds import INPUTS, Kind
+from roughmap_schemas.kinds import Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
 from roughmap_service.host.disk import sync, sync_directory
 from roughmap_service.journal.channels import channel_schema
@@ -26,24 +25,6 @@ PROFILE = "roughmap"
 COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
 
 OpenFile = Callable[[Path], IO[bytes]]
-
-
-@dataclass(frozen=True, slots=True)
-class Mark:
-    """A place in the run: the last input and record before it, and the epoch and sequence of the last event."""
-
-    input: int
-    record: int
-    epoch: int
-    sequence: int
-
-    def after(self, record: LogRecord) -> "Mark":
-        """The place behind a record."""
-        if record.kind in INPUTS:
-            return Mark(record.number, self.record + 1, self.epoch, self.sequence)
-        if record.kind is Kind.EVENTS:
-            return Mark(self.input, self.record + 1, record.epoch, record.sequence)
-        return self
 
 
 FILE_NAME = re.compile(r"roughmap-(?P<run>[0-9a-f]{32})-\d{6,}\.mcap")
