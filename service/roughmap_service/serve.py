@@ -23,7 +23,7 @@ from roughmap_service.answers.tile_reply import Identity
 from roughmap_service.answers.updates import Updates
 from roughmap_service.engine.control import Control
 from roughmap_service.engine.recovery import Progress as RecoveryProgress
-from roughmap_service.engine.recovery import Recovered, Stopped, begin_anew, put_away, recover
+from roughmap_service.engine.recovery import Recovered, Stopped, begin_anew, recover, set_aside_damaged
 from roughmap_service.engine.sequencer import Intervals, Sequencer
 from roughmap_service.engine.warmup import warm_up
 from roughmap_service.host.counters import Counters
@@ -46,7 +46,7 @@ from roughmap_service.journal.records import LogRecord
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.run.view import View
 from roughmap_service.store.map_db import Store
-from roughmap_service.store.memory_limit import Memory, keep_freed
+from roughmap_service.store.memory_limit import MemoryLimit, keep_freed
 from roughmap_service.store.snapshots import Snapshots, cut_of
 from roughmap_service.store.spill import Spill
 from roughmap_service.watch.readiness import Readiness, Sources
@@ -105,7 +105,7 @@ def serve(
         keep_freed(config.map.memory_limit)
         warm_up(config, stop)  # before memory is measured, and before the first tile
         path = Path(config.map.spill_path) if config.map.spill_path else directory / SPILL_NAME
-        memory = Memory(config.map.memory_limit, stack.enter_context(Spill(path, config.map.spill_limit)))
+        memory = MemoryLimit(config.map.memory_limit, stack.enter_context(Spill(path, config.map.spill_limit)))
         try:
             recovered = _recovered(config, directory, store, fresh, progress, stop, memory)
         except Stopped:
@@ -122,7 +122,7 @@ def serve(
                 _run(loaded, keys, session, instance, directory, store, recovered, memory, stop, announce, sources)
             finally:
                 if memory.spill.store_damaged and store is not None:
-                    put_away(store, directory, memory.spill.failure)
+                    set_aside_damaged(store, directory, memory.spill.failure)
 
 
 def _run(
@@ -133,7 +133,7 @@ def _run(
     directory: Path,
     store: Store | None,
     recovered: Recovered,
-    memory: Memory,
+    memory: MemoryLimit,
     stop: threading.Event,
     announce: Callable[[dict[str, Any]], None],
     sources: Sources,
@@ -247,9 +247,9 @@ def _end(sequencer: Sequencer, view: View, snapshots: Snapshots, cut: Callable[[
     ended = sequencer.stop(ending.left(0.5))
     view.wake()
     if ended and snapshots.enabled and sequencer.failure is None and sequencer.log_ok:
-        snapshots.close(ending.left(0.3))
+        snapshots.wait(ending.left(0.3))
         cut()
-        snapshots.close(ending.left(0.5))
+        snapshots.wait(ending.left(0.5))
     return ended
 
 
@@ -260,7 +260,7 @@ def _recovered(
     fresh: bool,
     progress: RecoveryProgress | None,
     stop: threading.Event,
-    memory: Memory,
+    memory: MemoryLimit,
 ) -> Recovered:
     if not fresh:
         return recover(config, directory, store, progress, stop, memory)

@@ -234,7 +234,7 @@ class Run:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.snapshots.close(WAIT_S)
+        self.snapshots.wait(WAIT_S)
         assert self.writer.close(WAIT_S) or error is not None
 
 

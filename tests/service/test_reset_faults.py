@@ -23,7 +23,7 @@ from roughmap_service.host.ending import ShuttingDown
 from roughmap_service.inputs.queue import Intake
 from roughmap_service.inputs.receipts import Replies
 from roughmap_service.inputs.subscriptions import ZenohInputs
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.spill import Spill
 
 
@@ -58,7 +58,7 @@ class Service:
         counters, intake = Counters(), Intake(1 << 20, Counters())
         spill = stack.enter_context(Spill(directory / "tiles.spill", 1 << 30))
         self.sequencer = Sequencer(
-            self.run.state, self.run.view, self.run.writer, intake, counters, Memory(1 << 40, spill),
+            self.run.state, self.run.view, self.run.writer, intake, counters, MemoryLimit(1 << 40, spill),
             self.run.duplicates, self.run.keys, Intervals(3600.0, 3600.0), publish_event=lambda _: None,
             take_snapshot=lambda: None, before_reset=lambda _: None,
         )  # fmt: skip

@@ -25,7 +25,7 @@ class Control:
         until = time.monotonic() + self._timeout
         while self._snapshots.sequence < wanted and time.monotonic() < until:
             self._sequencer.call(self._cut, self._timeout)
-            self._snapshots.close(self._timeout)
+            self._snapshots.wait(self._timeout)
             if self._snapshots.error:
                 break
         if self._snapshots.sequence < wanted:

@@ -12,7 +12,7 @@ from roughmap_service.run.apply import RunState
 from roughmap_service.run.inbox import Decision, Inbox
 from roughmap_service.run.settings import NS
 from roughmap_service.run.view import View
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +34,7 @@ class Decider:
         inbox: Inbox,
         writer: LogWriter,
         counters: Counters,
-        memory: Memory,
+        memory: MemoryLimit,
         log_event: Callable[[Event], None],
         publish_event: Callable[[bytes], None],
     ) -> None:

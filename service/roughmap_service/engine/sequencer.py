@@ -37,7 +37,7 @@ from roughmap_service.run.duplicates import Duplicates
 from roughmap_service.run.fold import Content
 from roughmap_service.run.inbox import Inbox, WaitingCloud
 from roughmap_service.run.view import View
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 
 log = logging.getLogger(__name__)
 
@@ -75,7 +75,7 @@ class Sequencer:
         writer: LogWriter,
         intake: Intake,
         counters: Counters,
-        memory: Memory,
+        memory: MemoryLimit,
         duplicates: Duplicates,
         keys: Keys,
         intervals: Intervals,

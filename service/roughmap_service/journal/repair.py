@@ -78,13 +78,13 @@ def end_at_damage(damage: DamagedLog) -> None:
         if path == files[0]:
             raise
         _note_lost(files, prefix)
-        put_behind(behind)
+        set_aside(behind)
         path.rename(_beside(path, "torn"))
         sync_directory(path.parent)
         return
     _note_lost(files, prefix)
     if not (behind and _lacks_nothing(path, behind[0])):
-        put_behind(behind)
+        set_aside(behind)
     repair(path, damaged=True)
 
 
@@ -105,7 +105,7 @@ def least_epoch(directory: Path, run: str | None) -> int:
     return max((int(epoch) for epoch in noted if epoch.isdecimal()), default=0)
 
 
-def put_behind(files: list[Path]) -> None:
+def set_aside(files: list[Path]) -> None:
     """Put files that nothing can be made of beside the log, as ``FILE.behind``."""
     for file in reversed(files):  # a kill in here leaves no gap
         kept = file.rename(_beside(file, "behind"))
