@@ -27,8 +27,8 @@ from roughmap_schemas.kinds import Kind
 from roughmap_service.engine.recovery import Recovered, blank
 from roughmap_service.journal.file import open_new
 from roughmap_service.journal.items import Rotate
-from roughmap_service.journal.reader import find_files, one_run, read_run
 from roughmap_service.journal.records import EventRecord, FileStart, InputRecord, LogItem, LogRecord
+from roughmap_service.journal.run_files import find_files, one_run, read_run
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.run.apply import span
 from roughmap_service.run.duplicates import Duplicates

@@ -21,8 +21,9 @@ from roughmap_schemas.kinds import Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
 from roughmap_service.journal.file import LogFile
 from roughmap_service.journal.items import Rotate, Sync
-from roughmap_service.journal.reader import find_files, read_metadata
+from roughmap_service.journal.reader import read_metadata
 from roughmap_service.journal.records import LogRecord
+from roughmap_service.journal.run_files import find_files
 from roughmap_service.journal.writer import LogWriter
 
 

@@ -44,7 +44,7 @@ def replay(
     last line says `equal: ...` (exit 0) or `differs at sequence ...` (exit 1); exit 2 if the logs are no whole run.
     With --what-if the run is integrated a second time under other settings, and the maps are compared.
     """
-    from roughmap_service.journal.reader import find_files, one_run
+    from roughmap_service.journal.run_files import find_files, one_run
     from roughmap_service.offline.replay import config_of
     from roughmap_service.offline.replay import replay as run
     from roughmap_service.offline.replay_log import check_empty

@@ -13,20 +13,10 @@ from roughmap_schemas import Config, IntegrationEvent, ResetEvent, configuration
 from roughmap_schemas.kinds import Kind
 from roughmap_service.host.disk import sync
 from roughmap_service.journal.file import FILE_NAME
-from roughmap_service.journal.reader import (
-    DamagedLog,
-    LogError,
-    RunFile,
-    find_files,
-    has_summary,
-    is_closed,
-    last_log_time,
-    one_run,
-    read_metadata,
-    read_run,
-)
+from roughmap_service.journal.reader import DamagedLog, LogError, has_summary, is_closed, last_log_time, read_metadata
 from roughmap_service.journal.records import FileStart, InputRecord, LogItem
 from roughmap_service.journal.repair import end_at_damage, least_epoch, repair, set_aside
+from roughmap_service.journal.run_files import RunFile, find_files, one_run, read_run
 from roughmap_service.run.apply import RunError, RunState
 from roughmap_service.run.duplicates import Duplicates
 from roughmap_service.run.fold import fold

@@ -1,4 +1,4 @@
-"""One MCAP file of the log: what stands at its beginning, its channels, and how it gets to the disk."""
+"""One MCAP file of the log: its name, its beginning, its channels, and how it gets to the disk."""
 
 import contextlib
 import os
@@ -18,7 +18,7 @@ from roughmap_service.journal.channels import channel_schema
 from roughmap_service.journal.records import LogRecord
 
 CHUNK_BYTES = 64 * 1024
-"""Small chunks lose little to a kill; a scan is larger and has a chunk of its own."""
+"""Chunk size. Small chunks lose little to a kill; a scan is larger and gets a chunk of its own."""
 
 PROFILE = "roughmap"
 
@@ -26,25 +26,24 @@ COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd"
 
 OpenFile = Callable[[Path], IO[bytes]]
 
-
 FILE_NAME = re.compile(r"roughmap-(?P<run>[0-9a-f]{32})-\d{6,}\.mcap")
-"""Names of files that may be ours."""
+"""Names of log files."""
 
 
 def file_name(run: str, index: int) -> str:
-    """Name of a run's file; names sort as the files were written."""
+    """Return the name of a run's file. Names sort in the order of writing."""
     return f"roughmap-{run}-{index:06d}.mcap"
 
 
 def open_new(path: Path) -> IO[bytes]:
-    """Create a file that must not be there yet."""
+    """Create a file; FileExistsError if it is there already."""
     return path.open("xb")
 
 
 class LogFile:
-    """An open file. Any method may raise OSError; what was flushed before stays readable.
+    """An open log file. Any method may raise OSError; what was flushed before stays readable.
 
-    ``last_ns`` is the log time of the run's last message: times rise over the files of one writer.
+    ``last_ns`` is the log time of the run's last message before this file: log times rise over the files of a run.
     """
 
     def __init__(
@@ -77,16 +76,16 @@ class LogFile:
 
     @property
     def closed(self) -> bool:
-        """Whether its footer is on the disk."""
+        """Whether the footer is on the disk."""
         return self._closed
 
     @property
     def size(self) -> int:
-        """Bytes handed to the file so far."""
+        """Bytes written to the file so far."""
         return self._stream.tell()
 
     def write(self, record: LogRecord) -> None:
-        """Append a message. Order is file order; its log time is its receive time, made to rise."""
+        """Append a message. Its log time is its receive time, raised where needed: log times rise in file order."""
         self.last_ns = max(record.received_ns, self.last_ns + 1)
         self._writer.add_message(
             channel_id=self._channel(record.kind, record.topic),
@@ -97,19 +96,19 @@ class LogFile:
         )
 
     def flush(self) -> int:
-        """End the chunk and hand all to the operating system; returns the length reached."""
+        """End the chunk and hand everything to the operating system; return the file's length."""
         self._writer.flush()
         self._stream.flush()
         return self._stream.tell()
 
     def sync(self) -> int:
-        """The same, and on the disk."""
+        """Flush, and bring everything to the disk; return the file's length."""
         length = self.flush()
         os.fsync(self._stream.fileno())
         return length
 
     def close(self) -> None:
-        """Footer, fsync, close. The file is never appended to after this."""
+        """Write the footer, sync and close. The file is never appended to after this."""
         self._writer.finish()
         self._stream.flush()
         os.fsync(self._stream.fileno())
@@ -117,15 +116,15 @@ class LogFile:
         self._stream.close()
 
     def let_go(self) -> None:
-        """Close the stream of a file that failed: no footer, nothing more to be made of it."""
+        """Close the stream of a file that failed, without a footer."""
         with contextlib.suppress(OSError):  # closing flushes, which is what failed
             self._stream.close()
 
     def abandon(self, length: int) -> None:
-        """Cut the file to ``length``, which was synced, and leave it without a footer. OSError if even that fails.
+        """Close the file without a footer, truncated to the ``length`` that was synced.
 
-        One that has its footer on the disk stays as it is. The cut is on the disk after this: what was behind it comes
-        again in the next file.
+        The truncation is on the disk when this returns, since the next file repeats what came after ``length``. A file
+        that has its footer on the disk stays as it is.
         """
         self.let_go()
         if not self._closed:

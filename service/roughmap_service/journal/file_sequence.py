@@ -97,7 +97,7 @@ class FileSequence:
         self._file.close()
 
     def leave(self) -> None:
-        """Let go of a present file that failed, cut to what was synced; the next file begins there.
+        """Close a present file that failed, truncated to what was synced; the next file begins there.
 
         A file that holds only its beginning is removed and the next takes its name: otherwise a disk that takes a
         beginning at every try, and nothing else, would fill with them. The first file of a start stays, since it
@@ -114,7 +114,7 @@ class FileSequence:
         self._written = self._synced
 
     def leave_unfinished(self) -> None:
-        """Let go of a present file that failed at its footer, cut to what was synced; the next start repairs it."""
+        """Close a present file whose footer failed, truncated to what was synced; the next start repairs it."""
         with contextlib.suppress(OSError):
             self._file.abandon(self._size)
         self._left = True
