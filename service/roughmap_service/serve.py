@@ -26,7 +26,7 @@ from roughmap_service.answers.updates import Updates
 from roughmap_service.engine.control import Control
 from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.recovery import Progress as RecoveryProgress
-from roughmap_service.engine.recovery import Recovered, Stopped, begin_anew, put_away, recover
+from roughmap_service.engine.recovery import Recovered, Stopped, begin_anew, recover, set_aside_damaged
 from roughmap_service.engine.sequencer import Intervals, Sequencer
 from roughmap_service.engine.warmup import warm_up
 from roughmap_service.host.counters import Counters
@@ -43,7 +43,7 @@ from roughmap_service.journal.writer import LogWriter
 from roughmap_service.run.metadata import file_metadata
 from roughmap_service.run.view import View
 from roughmap_service.store.map_db import Store
-from roughmap_service.store.memory_limit import Memory, keep_freed
+from roughmap_service.store.memory_limit import MemoryLimit, keep_freed
 from roughmap_service.store.snapshots import Snapshots, cut_of
 from roughmap_service.store.spill import Spill
 from roughmap_service.watch.readiness import Readiness, Sources
@@ -103,7 +103,7 @@ def serve(
         keep_freed(config.map.memory_limit)
         warm_up(config, stop)  # before memory is measured, and before the first tile
         path = Path(config.map.spill_path) if config.map.spill_path else directory / SPILL_NAME
-        memory = Memory(config.map.memory_limit, stack.enter_context(Spill(path, config.map.spill_limit)))
+        memory = MemoryLimit(config.map.memory_limit, stack.enter_context(Spill(path, config.map.spill_limit)))
         try:
             recovered = _recover(config, directory, store, fresh, progress, stop, memory)
         except Stopped:
@@ -123,7 +123,7 @@ def serve(
             service.check_kept()
         finally:
             if memory.spill.store_damaged and store is not None:
-                put_away(store, directory, memory.spill.failure)
+                set_aside_damaged(store, directory, memory.spill.failure)
 
 
 class Service:
@@ -136,7 +136,7 @@ class Service:
         instance: str,
         recovered: Recovered,
         store: Store | None,
-        memory: Memory,
+        memory: MemoryLimit,
         sources: Sources,
     ) -> None:
         self._config = config = loaded.config
@@ -247,9 +247,9 @@ class Service:
         self._sequencer_ended = self._sequencer.stop(ending.left(0.5))
         self._view.wake()
         if self._sequencer_ended and snapshots.enabled and self._sequencer.failure is None and self._writer.ok:
-            snapshots.close(ending.left(0.3))
+            snapshots.wait(ending.left(0.3))
             self._take_snapshot()
-            snapshots.close(ending.left(0.5))
+            snapshots.wait(ending.left(0.5))
 
     def _start_answers(self, stack: ExitStack) -> None:
         config, view, keys, identity = self._config, self._view, self._keys, self._identity
@@ -294,7 +294,7 @@ def _recover(
     fresh: bool,
     progress: RecoveryProgress | None,
     stop: threading.Event,
-    memory: Memory,
+    memory: MemoryLimit,
 ) -> Recovered:
     if fresh:
         if store is not None and store.exists():

@@ -15,18 +15,10 @@ from service_tools import WAIT_S, LoggedRun, config, inputs_of
 from roughmap import RoughMap
 from roughmap_schemas.kinds import Kind
 from roughmap_service.engine.recovery import recover
-from roughmap_service.journal.reader import (
-    DamagedLog,
-    FileStart,
-    LogError,
-    LogItem,
-    TornLog,
-    find_files,
-    one_run,
-    raw_records,
-    read_run,
-)
+from roughmap_service.journal.reader import DamagedLog, LogError, TornLog, raw_records
+from roughmap_service.journal.records import FileStart, LogItem
 from roughmap_service.journal.repair import repair
+from roughmap_service.journal.run_files import find_files, one_run, read_run
 from roughmap_service.store.map_db import Store, StoreError
 
 LAST = 64 * 1024

@@ -9,7 +9,8 @@ from report import Trial
 from service_tools import LoggedRun, config
 
 from roughmap_service.engine.recovery import recover
-from roughmap_service.journal.reader import LogError, find_files
+from roughmap_service.journal.reader import LogError
+from roughmap_service.journal.run_files import find_files
 from roughmap_service.store.map_db import Store
 
 

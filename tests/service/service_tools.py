@@ -31,13 +31,14 @@ from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.queue import InputMessage
 from roughmap_service.journal.file import open_new
 from roughmap_service.journal.items import Rotate
-from roughmap_service.journal.reader import EventRecord, FileStart, InputRecord, LogItem, find_files, one_run, read_run
 from roughmap_service.journal.recorder import Recorder
+from roughmap_service.journal.records import EventRecord, FileStart, InputRecord, LogItem
+from roughmap_service.journal.run_files import find_files, one_run, read_run
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.run.metadata import file_metadata
 from roughmap_service.run.view import View
 from roughmap_service.store.map_db import Cut, Store
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.snapshots import Snapshots, cut_of
 from roughmap_service.store.spill import Spill
 
@@ -132,7 +133,7 @@ class LoggedRun:
         self.snapshots = Snapshots(store, self.view, self.writer, stored, keep=self.config.log.keep, spill=spill)
         apart = self._open.enter_context(TemporaryDirectory())  # not among the files that a test looks at
         shelf = spill or self._open.enter_context(Spill(Path(apart, "tiles.spill"), 0))
-        memory = Memory(1 << 50, shelf)
+        memory = MemoryLimit(1 << 50, shelf)
         self.published: list[bytes] = []
         self.counters = Counters()
         self.live = LiveRun(
@@ -206,7 +207,7 @@ class LoggedRun:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with self._open:
-            self.snapshots.close(WAIT_S)
+            self.snapshots.wait(WAIT_S)
             assert self.writer.close(WAIT_S) or error is not None
 
 

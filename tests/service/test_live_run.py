@@ -20,7 +20,7 @@ from roughmap_service.inputs.queue import TURN_MESSAGES, InputMessage, InputQueu
 from roughmap_service.journal import writer as log_writer
 from roughmap_service.journal.items import Sync
 from roughmap_service.journal.recorder import Recorder
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.spill import Spill
 
 
@@ -35,10 +35,10 @@ class Spied(Recorder):
 
 
 @contextmanager
-def memory(folder: Path) -> Iterator[Memory]:
+def memory(folder: Path) -> Iterator[MemoryLimit]:
     """As much as one likes."""
     with Spill(folder / "tiles.spill", 1 << 30) as spill:
-        yield Memory(1 << 40, spill)
+        yield MemoryLimit(1 << 40, spill)
 
 
 def test_an_event_is_on_its_way_to_the_log_before_anyone_can_see_what_it_did(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import io
 import threading
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,9 @@ from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.sequencer import Intervals, Sequencer
 from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.queue import InputMessage, InputQueue
-from roughmap_service.journal.file import LogRecord
 from roughmap_service.journal.items import RECORD_OVERHEAD, Sync
 from roughmap_service.journal.recorder import Recorder
+from roughmap_service.journal.records import LogRecord
 from roughmap_service.journal.writer import LogWriter
 
 LIMIT = 10_000
@@ -62,6 +63,7 @@ def test_the_queue_has_its_limit_and_half_of_it_is_the_runs_alone(tmp_path: Path
 def test_what_comes_in_waits_for_the_disk_and_takes_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It waits where it is bounded and counted: before it is taken up."""
     disk, decided = Disk(), Gathered[bytes]()
+    monkeypatch.setattr("service_tools.LogWriter", partial(LogWriter, queue_limit=LIMIT))
     with LoggedRun(tmp_path / "log", open_file=disk.open) as run, memory(tmp_path) as enough:
         writer, full, held = run.writer, threading.Event(), []
         wait_room, put = writer.wait_room, writer.put
@@ -75,7 +77,6 @@ def test_what_comes_in_waits_for_the_disk_and_takes_no_memory(tmp_path: Path, mo
             put(item)
             held.append(writer.held)
 
-        monkeypatch.setattr(writer, "_queue_limit", LIMIT)
         monkeypatch.setattr(writer, "wait_room", waiting)
         monkeypatch.setattr(writer, "put", putting)
         intake, counters = InputQueue(1 << 20, Counters()), Counters()

@@ -8,7 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from service_tools import LoggedRun, read_back
 
-from roughmap_service.journal.reader import LogError, LogItem, RunFile, TornLog, read_file, read_metadata, read_run
+from roughmap_service.journal.reader import LogError, TornLog, read_file, read_metadata
+from roughmap_service.journal.records import LogItem
+from roughmap_service.journal.run_files import RunFile, read_run
 
 
 @pytest.fixture(scope="module")

@@ -19,9 +19,11 @@ from service_tools import GROUND, T0, WAIT_S, LoggedRun, cloud, config, metadata
 from roughmap_schemas import RunMetadata, encode_cloud
 from roughmap_schemas.kinds import Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
-from roughmap_service.journal.file import LogFile, LogRecord
+from roughmap_service.journal.file import LogFile
 from roughmap_service.journal.items import Rotate, Sync
-from roughmap_service.journal.reader import find_files, read_metadata
+from roughmap_service.journal.reader import read_metadata
+from roughmap_service.journal.records import LogRecord
+from roughmap_service.journal.run_files import find_files
 from roughmap_service.journal.writer import LogWriter
 
 

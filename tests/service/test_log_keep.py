@@ -6,10 +6,10 @@ import pytest
 from service_tools import SECOND, T0, WAIT_S, LoggedRun, metadata
 
 from roughmap_schemas.kinds import Kind
-from roughmap_service.journal.file import LogRecord
 from roughmap_service.journal.items import Rotate
 from roughmap_service.journal.keep import Needed, delete_oldest
-from roughmap_service.journal.reader import find_files
+from roughmap_service.journal.records import LogRecord
+from roughmap_service.journal.run_files import find_files
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.store.map_db import Cut
 from roughmap_service.store.snapshots import cut_of

@@ -11,8 +11,10 @@ from service_tools import T0, LoggedRun, cloud, config, events_of, inputs_of, me
 from roughmap_schemas import Config, encode_event
 from roughmap_schemas.kinds import Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
-from roughmap_service.journal.file import LogFile, LogRecord
-from roughmap_service.journal.reader import LogError, LogItem, RunFile, find_files, one_run, read_file, read_run
+from roughmap_service.journal.file import LogFile
+from roughmap_service.journal.reader import LogError, read_file
+from roughmap_service.journal.records import LogItem, LogRecord
+from roughmap_service.journal.run_files import RunFile, find_files, one_run, read_run
 
 
 def scans(run: LoggedRun, count: int = 2) -> None:
@@ -93,9 +95,9 @@ def test_keys_are_those_of_the_files_own_configuration(tmp_path: Path) -> None:
 def test_what_is_no_log(tmp_path: Path, file: Path) -> None:
     text = tmp_path / "text.mcap"
     text.write_text("this is no MCAP file, though it is called one\n" * 10)
-    one_line(text, "is no MCAP file")
+    one_line(text, "not an MCAP file")
     text.write_text("short")
-    one_line(text, "is no MCAP file")
+    one_line(text, "not an MCAP file")
     foreign = tmp_path / "foreign.mcap"
     with foreign.open("wb") as stream:
         writer = Writer(stream)
@@ -104,7 +106,7 @@ def test_what_is_no_log(tmp_path: Path, file: Path) -> None:
         channel = writer.register_channel("topic", "json", 0)
         writer.add_message(channel, 1, b"{}", 1)
         writer.finish()
-    one_line(foreign, "no log of roughmap")
+    one_line(foreign, "not a log of roughmap")
     empty = tmp_path / "empty.mcap"
     empty.touch()
     one_line(empty, "ends before its footer")

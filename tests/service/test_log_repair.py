@@ -17,15 +17,8 @@ from mcap.stream_reader import StreamReader
 from replay_tools import replay
 from service_tools import WAIT_S, LoggedRun, events_of, inputs_of, read_back
 
-from roughmap_service.journal.reader import (
-    EventRecord,
-    FileStart,
-    InputRecord,
-    LogItem,
-    TornLog,
-    read_file,
-    read_metadata,
-)
+from roughmap_service.journal.reader import TornLog, read_file, read_metadata
+from roughmap_service.journal.records import EventRecord, FileStart, InputRecord, LogItem
 from roughmap_service.journal.repair import repair
 
 

@@ -7,8 +7,8 @@ import pytest
 from service_tools import T0, WAIT_S, LoggedRun, events_of, inputs_of, metadata, odometry, read_back, starts_of
 
 from roughmap_schemas.kinds import Kind
-from roughmap_service.journal.file import LogRecord
 from roughmap_service.journal.items import Rotate
+from roughmap_service.journal.records import LogRecord
 from roughmap_service.journal.writer import LogWriter
 
 

@@ -12,8 +12,8 @@ from service_tools import WAIT_S, LoggedRun, events_of, inputs_of, read_back, st
 
 from roughmap_schemas.kinds import Kind
 from roughmap_service.journal import writer as log_writer
-from roughmap_service.journal.file import LogRecord
 from roughmap_service.journal.items import Sync
+from roughmap_service.journal.records import LogRecord
 
 
 class FullDisk(io.FileIO):

@@ -23,7 +23,6 @@ from roughmap_service.host.ending import ShuttingDown
 from roughmap_service.inputs.queue import InputQueue
 from roughmap_service.inputs.receipts import ReceiptSender
 from roughmap_service.inputs.subscriptions import ZenohInputs
-from roughmap_service.store.memory_limit import Memory
 from roughmap_service.store.spill import Spill
 
 
@@ -58,7 +57,7 @@ class Service:
         counters, intake = Counters(), InputQueue(1 << 20, Counters())
         spill = stack.enter_context(Spill(directory / "tiles.spill", 1 << 30))
         self.sequencer = Sequencer(
-            self.run.live, intake, self.run.writer, Memory(1 << 40, spill), Intervals(3600.0, 3600.0),
+            self.run.live, intake, self.run.writer, MemoryLimit(1 << 40, spill), Intervals(3600.0, 3600.0),
             take_snapshot=lambda: None, before_reset=lambda _: None,
         )  # fmt: skip
         replies = stack.enter_context(ReceiptSender())

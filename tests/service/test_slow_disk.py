@@ -30,7 +30,6 @@ from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.queue import InputMessage, InputQueue
 from roughmap_service.offline.replay import replay
 from roughmap_service.store.map_db import Store
-from roughmap_service.store.memory_limit import Memory
 from roughmap_service.store.spill import Spill
 from roughmap_service.watch.status import Progress, Status
 
@@ -85,7 +84,7 @@ class Service:
         self._reader = Reader(run.view, run.keys, run.config, identity, Emptied(1000))
         self.status = Status(run.view, counters, run.config, identity, "1", Progress)
         self._taken = 0
-        self._memory = Memory(1 << 20, spill, measure=lambda: self._taken)
+        self._memory = MemoryLimit(1 << 20, spill, measure=lambda: self._taken)
         live = LiveRun(run.run, run.view, run.writer, run.recorder, counters, self._memory, self._hear)
         self._sequencer = Sequencer(
             live, self._intake, run.writer, self._memory, Intervals(3600.0, 3600.0), take_snapshot=lambda: None,
@@ -105,7 +104,7 @@ class Service:
         self._intake.put(InputMessage(Kind.POINTS, "rover", payload, T0, time.monotonic()))
 
     def leave(self) -> None:
-        """Memory is short until all tiles have left that can."""
+        """MemoryLimit is short until all tiles have left that can."""
 
         def relieve() -> None:
             self._taken = 1 << 40
@@ -143,7 +142,7 @@ def serving(where: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
     disk = Disk(monkeypatch)
     with ExitStack() as stack:
         spill = stack.enter_context(Spill(folder / "tiles.spill", 100 * SLOT_BYTES))
-        recovered = recover(config(), folder / "log", store, memory=Memory(1 << 40, spill))
+        recovered = recover(config(), folder / "log", store, memory=MemoryLimit(1 << 40, spill))
         run = stack.enter_context(LoggedRun(folder / "log", recovered=recovered, store=store, spill=spill))
         if where == "spill":
             run.put(Kind.POINTS, points_in(FAR, FARTHER, FARTHEST))

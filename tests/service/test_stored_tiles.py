@@ -20,7 +20,7 @@ from roughmap_schemas.kinds import Kind
 from roughmap_service.engine.recovery import Recovered, recover
 from roughmap_service.offline.replay import replay
 from roughmap_service.store.map_db import Store, StoreError
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.spill import Spill
 from roughmap_service.store.stored_tiles import StoredTiles, set_index
 
@@ -48,7 +48,7 @@ class Lazy:
 
     def __init__(self, logs: Path, store: Store, stack: ExitStack) -> None:
         self.spill = stack.enter_context(Spill(logs / "tiles.spill", 1000 * SLOT_BYTES))
-        self.memory = Memory(1 << 40, self.spill)
+        self.memory = MemoryLimit(1 << 40, self.spill)
         self.recovered: Recovered = recover(config(), logs, store, memory=self.memory)
         self.map = self.recovered.run.map
 

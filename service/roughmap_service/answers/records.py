@@ -5,7 +5,7 @@ import time
 from roughmap_schemas import Keys, QueryRecord, model_bytes
 from roughmap_schemas.kinds import Kind
 from roughmap_service.host.counters import Counters
-from roughmap_service.journal.file import LogRecord
+from roughmap_service.journal.records import LogRecord
 from roughmap_service.journal.writer import LogWriter
 
 

@@ -44,7 +44,7 @@ def replay(
     last line says `equal: ...` (exit 0) or `differs at sequence ...` (exit 1); exit 2 if the logs are no whole run.
     With --what-if the run is integrated a second time under other settings, and the maps are compared.
     """
-    from roughmap_service.journal.reader import find_files, one_run
+    from roughmap_service.journal.run_files import find_files, one_run
     from roughmap_service.offline.replay import config_of
     from roughmap_service.offline.replay import replay as run
     from roughmap_service.offline.replay_log import check_empty
@@ -171,7 +171,7 @@ def _progress(title: str, files: list[Path]) -> "Iterator[Callable[[Step], None]
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from roughmap_service.journal.reader import EventRecord, FileStart
+    from roughmap_service.journal.records import EventRecord, FileStart
 
     console = Console(file=sys.stderr)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("files"),

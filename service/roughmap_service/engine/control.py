@@ -27,7 +27,7 @@ class Control:
         until = time.monotonic() + TIMEOUT_SECONDS
         while self._snapshots.sequence < wanted and time.monotonic() < until:
             self._sequencer.call(self._cut, TIMEOUT_SECONDS)
-            self._snapshots.close(TIMEOUT_SECONDS)
+            self._snapshots.wait(TIMEOUT_SECONDS)
             if self._snapshots.error:
                 break
         if self._snapshots.sequence < wanted:

@@ -31,7 +31,7 @@ from roughmap_service.run.decoding import Content
 from roughmap_service.run.inbox import Arrival, Proposal
 from roughmap_service.run.run import Run, Taken
 from roughmap_service.run.view import View
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 
 logger = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ class LiveRun:
         writer: LogWriter,
         recorder: Recorder,
         counters: Counters,
-        memory: Memory,
+        memory: MemoryLimit,
         publish_event: Callable[[bytes], None],
     ) -> None:
         self.run = run

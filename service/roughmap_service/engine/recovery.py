@@ -13,27 +13,15 @@ from roughmap_schemas import Config, ResetEvent, configuration_digest
 from roughmap_schemas.faults import ReportedError
 from roughmap_service.host.disk import sync
 from roughmap_service.journal.file import FILE_NAME
-from roughmap_service.journal.reader import (
-    DamagedLog,
-    EventRecord,
-    FileStart,
-    LogError,
-    LogItem,
-    RunFile,
-    find_files,
-    has_summary,
-    is_closed,
-    last_log_time,
-    one_run,
-    read_metadata,
-    read_run,
-)
-from roughmap_service.journal.repair import end_at_damage, least_epoch, put_behind, repair
+from roughmap_service.journal.reader import DamagedLog, LogError, has_summary, is_closed, last_log_time, read_metadata
+from roughmap_service.journal.records import EventRecord, FileStart, LogItem
+from roughmap_service.journal.repair import end_at_damage, least_epoch, repair, set_aside
+from roughmap_service.journal.run_files import RunFile, find_files, one_run, read_run
 from roughmap_service.run.fold import fold
 from roughmap_service.run.run import Run, RunError
 from roughmap_service.run.settings import Settings, new_map
 from roughmap_service.store.map_db import Cut, DamagedStore, OtherStateVersion, Store, StoreError
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.snapshots import take_cut
 from roughmap_service.store.stored_tiles import StoredTiles, set_index
 
@@ -86,7 +74,7 @@ def recover(
     store: Store | None,
     progress: Progress | None = None,
     stop: threading.Event | None = None,
-    memory: Memory | None = None,
+    memory: MemoryLimit | None = None,
 ) -> Recovered:
     """Bring back the log directory's newest run, from the store's cut if there is one, else from its beginning.
 
@@ -109,18 +97,18 @@ def recover(
             log.error("%s; the run goes on from what lies before it", damage)
             end_at_damage(damage)
         except DamagedStore as damage:
-            if store is None or not put_away(store, directory, str(damage)):
+            if store is None or not set_aside_damaged(store, directory, str(damage)):
                 raise
             if memory is not None:
                 memory.spill.failure, memory.spill.store_damaged = "", False
 
 
-def put_away(store: Store, directory: Path, damage: str) -> bool:
+def set_aside_damaged(store: Store, directory: Path, damage: str) -> bool:
     """Rename a damaged store, so that the next start builds the map anew; False if the log does not reach that far."""
     files = newest_run(directory, None)
     if not files or files[0].metadata.first_record > 1:
         return False
-    log.error("%s; it is %s now, and the map is built anew from the log", damage, store.put_away())
+    log.error("%s; it is %s now, and the map is built anew from the log", damage, store.set_aside_damaged())
     return True
 
 
@@ -163,7 +151,7 @@ def _where_the_store_is_ahead(
         )
     else:
         log.error("%s, and the run's beginning is not there: the map is the store's", told)
-        put_behind([file.path for file in files])
+        set_aside([file.path for file in files])
         result, _ = _bring_back(config, store, cut, [], watch)
         result.index = files[-1].metadata.index + 1
     result.epoch = max(result.epoch, cut.epoch + 1, files[-1].metadata.epoch + 1)
@@ -177,7 +165,7 @@ class _Watch:
 
     progress: Progress | None
     stop: threading.Event
-    memory: Memory | None
+    memory: MemoryLimit | None
     damaged: bool
 
 
@@ -221,13 +209,13 @@ def _fill(result: Recovered, config: Config, store: Store | None, files: list[Ru
     return end
 
 
-def blank(config: Config, memory: Memory | None = None) -> Recovered:
+def blank(config: Config, memory: MemoryLimit | None = None) -> Recovered:
     """The beginning of a run: an empty map at sequence 0, epoch 1."""
     rough_map = new_map(config, None if memory is None else memory.spill)
     return Recovered(Run(Settings(config), rough_map))
 
 
-def begin_anew(config: Config, directory: Path, memory: Memory | None = None) -> Recovered:
+def begin_anew(config: Config, directory: Path, memory: MemoryLimit | None = None) -> Recovered:
     """The beginning of a run that is newer than all whose files lie in the directory."""
     result = blank(config, memory)
     for path in directory.glob("*.mcap"):
@@ -301,7 +289,7 @@ def check_identity(config: Config, stored: dict[str, object], where: Path) -> No
             )
 
 
-def _take_cut(config: Config, store: Store, cut: Cut, result: Recovered, memory: Memory | None) -> None:
+def _take_cut(config: Config, store: Store, cut: Cut, result: Recovered, memory: MemoryLimit | None) -> None:
     check_identity(config, cut.configuration, store.path)
     run = result.run
     if memory is None:

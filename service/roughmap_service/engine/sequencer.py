@@ -13,7 +13,7 @@ from roughmap_service.host.ending import ShuttingDown
 from roughmap_service.inputs.queue import InputQueue
 from roughmap_service.journal.items import Rotate, Sync
 from roughmap_service.journal.writer import LogWriter
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 
 logger = logging.getLogger(__name__)
 
@@ -51,7 +51,7 @@ class Sequencer:
         live: LiveRun,
         queue: InputQueue,
         writer: LogWriter,
-        memory: Memory,
+        memory: MemoryLimit,
         intervals: Intervals,
         take_snapshot: Callable[[], None],
         before_reset: Callable[[RoughMap], None],

@@ -7,16 +7,9 @@ from pathlib import Path
 
 from roughmap_schemas import CheckpointEvent, CloudReason, Config, Event, IntegrationEvent, configuration_digest
 from roughmap_schemas.faults import ReportedError
-from roughmap_service.journal.reader import (
-    EventRecord,
-    FileStart,
-    LogError,
-    LogItem,
-    RunFile,
-    find_files,
-    one_run,
-    read_run,
-)
+from roughmap_service.journal.reader import LogError
+from roughmap_service.journal.records import EventRecord, FileStart, LogItem
+from roughmap_service.journal.run_files import RunFile, find_files, one_run, read_run
 from roughmap_service.run.fold import Step, fold
 from roughmap_service.run.inbox import INTEGRATED
 from roughmap_service.run.run import Run, RunError

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from roughmap_schemas import Cloud, ContractError, Event, IntegrationEvent
 from roughmap_schemas.kinds import Kind
-from roughmap_service.journal.reader import FileStart, InputRecord, LogItem
+from roughmap_service.journal.records import FileStart, InputRecord, LogItem
 from roughmap_service.run.decoding import Content, decode
 from roughmap_service.run.duplicates import Duplicates
 from roughmap_service.run.run import Run, RunError

@@ -211,7 +211,7 @@ class Store:
         sync_directory(self.path.parent)
         return aside
 
-    def put_away(self) -> Path:
+    def set_aside_damaged(self) -> Path:
         """Rename a store that can't be used as one, with what SQLite keeps beside it; returns the new name."""
         aside = self.path.with_name(f"{self.path.name}.damaged")
         for ending in ("-wal", "-shm", ""):

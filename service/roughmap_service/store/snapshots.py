@@ -128,7 +128,7 @@ class Snapshots:
         if self.ok and asked is not None and time.monotonic() > asked + HANG_SECONDS:
             self._fail(TimeoutError(f"its disk has not answered for {HANG_SECONDS:g} s"))
 
-    def close(self, timeout: float) -> None:
+    def wait(self, timeout: float) -> None:
         """Wait for the snapshot that is being written."""
         if self._thread is not None:
             self._thread.join(timeout)

@@ -13,7 +13,7 @@ from roughmap_service.host.counters import Counters
 from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.queue import InputQueue
 from roughmap_service.journal.writer import LogWriter
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.snapshots import Snapshots
 from roughmap_service.watch.readiness import Problem, Sources, running_problems
 
@@ -28,7 +28,7 @@ class Parts:
     writer: LogWriter
     queue: InputQueue
     snapshots: Snapshots
-    memory: Memory
+    memory: MemoryLimit
     counters: Counters
     _stalled: bool = False
 
