@@ -23,6 +23,7 @@ from roughmap_service.host.ending import ShuttingDown
 from roughmap_service.inputs.queue import InputQueue
 from roughmap_service.inputs.receipts import ReceiptSender
 from roughmap_service.inputs.subscriptions import ZenohInputs
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.spill import Spill
 
 

@@ -30,6 +30,7 @@ from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.queue import InputMessage, InputQueue
 from roughmap_service.offline.replay import replay
 from roughmap_service.store.map_db import Store
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.spill import Spill
 from roughmap_service.watch.status import Progress, Status
 
