@@ -65,7 +65,7 @@ schemas: $(READY)  ## export schemas/json from the models
 lock:  ## resolve requirements.lock from pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	test -x $(UV) || $(BIN)/python -m pip install --quiet uv
-	printf 'hatchling>=1.27\neditables>=0.5\n' | $(UV) pip compile pyproject.toml - --universal --python-version 3.11 --extra dev --extra plot \
+	printf 'hatchling>=1.27\neditables>=0.5\n' | $(UV) pip compile pyproject.toml - --universal --python-version 3.11 --extra dev \
 	  --no-strip-extras --generate-hashes --no-emit-index-url --quiet --custom-compile-command 'make lock' --output-file requirements.lock
 	printf 'hatchling>=1.27\n' | $(UV) pip compile pyproject.toml - --universal --python-version 3.11 --constraint requirements.lock \
 	  --no-strip-extras --generate-hashes --no-emit-index-url --quiet --custom-compile-command 'make lock' --output-file docker/requirements.lock

@@ -17,17 +17,9 @@ import roughmap_service
 from roughmap_schemas import Config
 from roughmap_service.engine.warmup import warm_up
 
-OPTIONAL = {"matplotlib", "laspy", "rosbags", "rasterio"}
-"""Packages of extras that the image leaves out."""
-
 for package in (roughmap, roughmap_schemas, roughmap_client, roughmap_service):
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-        try:
-            importlib.import_module(module.name)
-        except ImportError as error:
-            missing = error.__cause__ if isinstance(error.__cause__, ImportError) else error
-            if (missing.name or "").partition(".")[0] not in OPTIONAL:
-                raise
+        importlib.import_module(module.name)
 
 for model in ("point", "cuboid", "ellipsoid"):
     config = {"map": {"error_model": model}, "sensors": {"lidar": {"range_sigma": 0.02}}}

@@ -9,7 +9,7 @@ import yaml
 
 from roughmap import CELL_DTYPE
 from roughmap.tiles.slots import SLOT_BYTES
-from roughmap_client.client import AGAIN_MOST_S
+from roughmap_client.client import MAX_RETRY_S
 from roughmap_schemas import Config
 from roughmap_schemas.layers import LAYERS
 from roughmap_service.cli.health import WORKS
@@ -64,7 +64,7 @@ def settings() -> dict[str, Any]:
         ("OPERATIONS.md", "resource", "memory of the map", SLOT_BYTES / 2**10, "KiB"),
         ("OPERATIONS.md", "resource", "a map larger than memory", CELL_DTYPE.itemsize, "bytes"),
         ("RELIABILITY.md", "fault", "disk that hangs", disk.HANG_SECONDS, "s"),
-        ("RELIABILITY.md", "fault", "link cut, held up", AGAIN_MOST_S, "s"),
+        ("RELIABILITY.md", "fault", "link cut, held up", MAX_RETRY_S, "s"),
         ("RELIABILITY.md", "load", "twice as many scans", counters.OVERLOAD_SECONDS, "s"),
         ("RELIABILITY.md", "load", "twice as many scans", SWITCH_SECONDS * 1000, "ms"),
     ],

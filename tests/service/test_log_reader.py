@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from log_edits import nth, rewrite
 from mcap.writer import CompressionType, Writer
-from service_tools import T0, Run, cloud, config, events_of, inputs_of, metadata, odometry, read_back, starts_of
+from service_tools import T0, LoggedRun, cloud, config, events_of, inputs_of, metadata, odometry, read_back, starts_of
 
 from roughmap_schemas import Config, encode_event
 from roughmap_schemas.kinds import Kind
@@ -15,7 +15,7 @@ from roughmap_service.journal.file import LogFile, LogRecord
 from roughmap_service.journal.reader import LogError, LogItem, RunFile, find_files, one_run, read_file, read_run
 
 
-def scans(run: Run, count: int = 2) -> None:
+def scans(run: LoggedRun, count: int = 2) -> None:
     for k in range(count):
         run.scan(float(k), 0.3 * k)
         run.checkpoint()
@@ -24,7 +24,7 @@ def scans(run: Run, count: int = 2) -> None:
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     """A closed file of a run."""
-    with Run(tmp_path / "log") as run:
+    with LoggedRun(tmp_path / "log") as run:
         scans(run)
     (path,) = (tmp_path / "log").glob("*.mcap")
     return path
@@ -41,11 +41,12 @@ def one_line(path: Path, words: str) -> None:
 
 
 def test_all_in_file_order_with_their_numbers(tmp_path: Path) -> None:
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         scans(run)
         run.rotate()
-        scans(run, 1)
-        expected = run.state.input, run.state.record
+        run.scan(9.0)
+        run.checkpoint()
+        expected = run.run.input, run.run.record
     items = read_back(tmp_path)
     inputs, events = inputs_of(items), [item for item in items if not hasattr(item, "path")]
     assert [item.number for item in inputs] == list(range(1, expected[0] + 1))
@@ -186,7 +187,7 @@ def test_a_damaged_length_is_no_allocation(compression: CompressionType, tmp_pat
 
 
 def test_files_are_ordered_by_run_and_index_and_each_is_there_once(tmp_path: Path) -> None:
-    with Run(tmp_path / "log") as run:
+    with LoggedRun(tmp_path / "log") as run:
         for k in range(3):
             run.scan(float(k))
             run.rotate()
@@ -198,7 +199,7 @@ def test_files_are_ordered_by_run_and_index_and_each_is_there_once(tmp_path: Pat
 
 
 def test_gaps_are_named(tmp_path: Path) -> None:
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         for k in range(3):
             run.scan(float(k))
             run.rotate()

@@ -18,6 +18,7 @@ from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata,
 from mcap.stream_reader import StreamReader
 
 from roughmap_schemas import Config, ContractError, Event, Keys, MessageFault, RunMetadata, decode_event
+from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.kinds import INPUTS, Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
 from roughmap_service.journal.chunks import BoundedFile, records_in
@@ -43,8 +44,10 @@ _DAMAGE = (McapError, struct.error, ValueError, zlib.error, zstandard.ZstdError,
 """What the reader's libraries raise over bytes that are not what they should be."""
 
 
-class LogError(Exception):
+class LogError(ReportedError):
     """A log that can't be read as one; one line that names the file and what is wrong with it."""
+
+    exit_code = 2
 
 
 class DamagedLog(LogError):
@@ -207,7 +210,7 @@ def read_file(path: Path) -> Iterator[LogItem]:
     """A file's beginning, inputs and events; outputs and foreign channels are passed over. Errors as `raw_records`."""
     metadata = read_metadata(path)
     try:
-        config = Config.model_validate(metadata.configuration)
+        config = Config.from_log(metadata.configuration)
     except ValueError as error:
         raise LogError(f"{path}: its configuration can't be read: {str(error).splitlines()[0]}") from None
     yield FileStart(path, metadata, config)
