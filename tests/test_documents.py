@@ -62,7 +62,7 @@ def settings() -> dict[str, Any]:
         ("OPERATIONS.md", "problem", "`sequencer_stalled`", readiness.STALLED_SECONDS, "s"),
         ("OPERATIONS.md", "problem", "`overloaded`", counters.OVERLOAD_SECONDS, "s"),
         ("OPERATIONS.md", "resource", "memory of the map", SLOT_BYTES / 2**10, "KiB"),
-        ("OPERATIONS.md", "resource", "less memory than map", CELL_DTYPE.itemsize, "bytes"),
+        ("OPERATIONS.md", "resource", "a map larger than memory", CELL_DTYPE.itemsize, "bytes"),
         ("RELIABILITY.md", "fault", "disk that hangs", disk.HANG_SECONDS, "s"),
         ("RELIABILITY.md", "fault", "link cut, held up", MAX_RETRY_S, "s"),
         ("RELIABILITY.md", "load", "twice as many scans", counters.OVERLOAD_SECONDS, "s"),
