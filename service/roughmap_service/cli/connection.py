@@ -8,7 +8,7 @@ from pathlib import Path
 
 import zenoh
 
-from roughmap_client.access import endpoints_of, read_zenoh_file, setting, told
+from roughmap_client.access import endpoints_of, read_zenoh_file, setting, zenoh_message
 from roughmap_schemas.config import without_secrets
 from roughmap_schemas.config_load import LoadedConfig
 from roughmap_service.cli.options import Failure, reachable
@@ -56,8 +56,8 @@ def open_client(config: zenoh.Config, timeout: float) -> zenoh.Session:
                 continue
             where = ", ".join(map(without_secrets, endpoints_of(config, "connect")))
             raise Failure(
-                f"nobody answers on {where} ({told(error, config)}); is `roughmap serve` up there? (--connect, --zenoh)"
-                + if_guarded(config)
+                f"nobody answers on {where} ({zenoh_message(error, config)}); is `roughmap serve` up there? "
+                f"(--connect, --zenoh){if_guarded(config)}"
             ) from None
 
 

@@ -84,7 +84,7 @@ def run(arguments: Sequence[str]) -> int:
     except Exception as error:
         code = _exit_code(error)
         if code is None:
-            raise  # a fault of our own: the traceback is what helps
+            raise  # a bug in roughmap: the traceback helps to find it
         return complain(_text(error), code)
     return result if isinstance(result, int) else 0
 
@@ -94,36 +94,13 @@ _NO_ARGUMENTS: type[click.UsageError] | tuple[()] = getattr(click.exceptions, "N
 
 
 def _exit_code(error: Exception) -> int | None:
-    """The one table from errors to exit codes; None for what nobody foresaw."""
-    from roughmap_schemas.faults import ConfigFault, Fault, QueryFault
+    """Return the exit code for an error; None for a bug in roughmap."""
+    from roughmap_schemas.faults import ReportedError
 
-    if isinstance(error, ConfigFault | QueryFault):
-        return 2
-    if isinstance(error, Fault | OSError):
-        return 1
-    for module, name, code in _LATE:
-        kind = getattr(sys.modules.get(module), name, None)
-        if kind is not None and isinstance(error, kind):
-            return code
-    return None
-
-
-_LATE = (
-    ("roughmap_client.errors", "RoughMapError", 1),
-    ("zenoh", "ZError", 1),
-    ("roughmap_service.formats.clouds_in", "CloudFileFault", 2),
-    ("roughmap_service.store.map_db", "StoreError", 2),
-    ("roughmap_service.journal.reader", "LogError", 2),
-    ("roughmap_service.run.apply", "RunError", 1),
-    ("roughmap_service.engine.recovery", "IdentityError", 2),
-    ("roughmap_service.offline.replay", "ReplayError", 2),
-    ("roughmap_service.inputs.session", "TransportError", 1),
-    ("roughmap_service.http.token", "HttpError", 2),
-    ("roughmap_service.http.server", "PortTaken", 1),
-    ("roughmap_service.serve", "ServeError", 2),
-    ("roughmap_service.host.locks", "LockError", 2),
-)
-"""Module, error and exit code; only a command that needs the module has loaded it, so it isn't imported for this."""
+    if isinstance(error, ReportedError):
+        return error.exit_code
+    zenoh_error = getattr(sys.modules.get("zenoh"), "ZError", OSError)  # only a command that uses zenoh imports it
+    return 1 if isinstance(error, (OSError, zenoh_error)) else None
 
 
 def _text(error: Exception) -> str:

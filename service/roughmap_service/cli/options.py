@@ -1,12 +1,10 @@
 """Options that several commands share, and the settings they give."""
 
-import importlib
 import json
 import os
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import ModuleType
 from typing import Any, TypeVar
 
 import click
@@ -104,14 +102,6 @@ zenoh_option = click.option(
 def reachable(address: str) -> str:
     """An address to connect to, where the given one listens on: all addresses of this machine hold loopback's."""
     return address.replace("0.0.0.0:", "127.0.0.1:").replace("[::]:", "[::1]:")
-
-
-def load_pictures() -> ModuleType:
-    """The module that draws; Failure with the mend in one line where matplotlib is missing."""
-    try:
-        return importlib.import_module("roughmap_service.formats.pictures")
-    except ImportError as error:
-        raise Failure(str(error)) from error
 
 
 def load(config_path: Path | None, settings: tuple[tuple[str, object], ...]) -> LoadedConfig:

@@ -15,7 +15,6 @@ from roughmap_service.cli.options import (
     connect_option,
     json_option,
     load,
-    load_pictures,
     zenoh_option,
 )
 from roughmap_service.host.log_lines import printable
@@ -73,7 +72,6 @@ def query(
     for name in names:
         if name not in LAYERS:
             raise BadUse(f"unknown layer {name!r} (allowed: {', '.join(LAYERS)})")
-    draw = load_pictures().draw if png is not None else None  # before asking: say at once what is missing
     loaded = load(config_path, settings)
     config = loaded.config
     name = map_name or config.map.name
@@ -93,7 +91,9 @@ def query(
         raise (Failure if error.code in PASSING else BadUse)(f"the service refused: {error}") from error
     if npz is not None:
         _save(npz, region, names)
-    if draw is not None and png is not None:
+    if png is not None:
+        from roughmap_service.formats.pictures import draw
+
         draw(region, names, png, title=f"{name}, sequence {region.sequence}")
     report = {
         "map": name,

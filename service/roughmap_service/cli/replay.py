@@ -16,8 +16,8 @@ from roughmap_service.cli.options import BadUse, json_option, setting
 
 if TYPE_CHECKING:
     from roughmap_schemas import Config
-    from roughmap_service.run.apply import RunState
     from roughmap_service.run.fold import Step
+    from roughmap_service.run.run import Run
 
 
 @click.command()
@@ -44,7 +44,7 @@ def replay(
     last line says `equal: ...` (exit 0) or `differs at sequence ...` (exit 1); exit 2 if the logs are no whole run.
     With --what-if the run is integrated a second time under other settings, and the maps are compared.
     """
-    from roughmap_service.journal.reader import find_files, one_run
+    from roughmap_service.journal.run_files import find_files, one_run
     from roughmap_service.offline.replay import config_of
     from roughmap_service.offline.replay import replay as run
     from roughmap_service.offline.replay_log import check_empty
@@ -68,12 +68,12 @@ def replay(
         done = run(logs, from_store=from_store, watch=watch)
     result: dict[str, Any] = {"verdict": done.verdict, "equal": done.difference is None, "events": done.events}
     if done.difference is None:
-        state = done.state
+        shown = done.run
         if changes:
-            state, result["what_if"] = _what_if(logs, total, change, done.state, changes, as_json=as_json)
+            shown, result["what_if"] = _what_if(logs, total, change, done.run, changes, as_json=as_json)
         if out is not None:
             # A run of its own: a service would take this for the logged run's beginning, and fold the log once more.
-            _store(out, state, change(done.config), uuid.uuid4().hex)
+            _store(out, shown, change(done.config), uuid.uuid4().hex)
         if log_out is not None:
             _log(logs, total, log_out, change)
     elif changes or out is not None or log_out is not None:
@@ -86,17 +86,17 @@ def _what_if(
     logs: tuple[Path, ...],
     files: list[Path],
     change: "Callable[[Config], Config]",
-    before: "RunState",
+    before: "Run",
     changes: tuple[tuple[str, object], ...],
     *,
     as_json: bool,
-) -> "tuple[RunState, list[dict[str, Any]]]":
+) -> "tuple[Run, list[dict[str, Any]]]":
     """The run under other settings, and a table of how each layer differs."""
     from roughmap_service.offline.compare import compare
     from roughmap_service.offline.replay import what_if
 
     with _progress("what if", files) as watch:
-        now = what_if(logs, change, watch=lambda step, _state: watch(step))
+        now = what_if(logs, change, watch=lambda step, _run: watch(step))
     differences = compare(before.map, now.map)
     if not as_json:
         _print_differences(differences, dict(changes))
@@ -145,11 +145,11 @@ def _print_differences(differences: "list[Any]", changes: dict[str, object]) -> 
     console.print(table)
 
 
-def _store(out: Path, state: "RunState", config: "Config", run: str) -> None:
+def _store(out: Path, run: "Run", config: "Config", run_id: str) -> None:
     from roughmap_schemas import configuration_digest
     from roughmap_service.store.map_db import Store
 
-    Store(out).write_map(state.map, config.public_dict(), configuration_digest(config), run)
+    Store(out).write_map(run.map, config.public_dict(), configuration_digest(config), run_id)
 
 
 def _log(logs: tuple[Path, ...], files: list[Path], directory: Path, change: "Callable[[Config], Config]") -> None:
@@ -158,8 +158,8 @@ def _log(logs: tuple[Path, ...], files: list[Path], directory: Path, change: "Ca
 
     with _progress("log", files) as watch, ReplayLog(directory) as written:
 
-        def write(step: "Step", state: "RunState") -> None:
-            written.take(step, state)
+        def write(step: "Step", run: "Run") -> None:
+            written.take(step, run)
             watch(step)
 
         what_if(logs, change, watch=write)
@@ -171,7 +171,7 @@ def _progress(title: str, files: list[Path]) -> "Iterator[Callable[[Step], None]
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from roughmap_service.journal.reader import EventRecord, FileStart
+    from roughmap_service.journal.records import EventRecord, FileStart
 
     console = Console(file=sys.stderr)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("files"),

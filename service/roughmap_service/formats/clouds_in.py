@@ -21,6 +21,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from roughmap_schemas.faults import ReportedError
+
 Floats = npt.NDArray[np.float64]
 Arrays = dict[str, npt.NDArray[np.generic]]
 
@@ -38,8 +40,10 @@ MAX_UNPACKED = 16 << 30
 """Bytes of an archive's arrays: half a billion points with their covariances; they are in memory all at once."""
 
 
-class CloudFileFault(Exception):
+class CloudFileFault(ReportedError):
     """A file does not hold a cloud that can be read; one line that names file, what was expected and what was found."""
+
+    exit_code = 2
 
 
 class RecordedScan(NamedTuple):

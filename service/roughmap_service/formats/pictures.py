@@ -1,7 +1,6 @@
 """Pictures of map layers: metres on the axes, a colour bar with units, unknown ground hatched.
 
-Needs matplotlib, which is in the `plot` extra, and no display. Only a command that draws imports this module; without
-matplotlib that is an ImportError whose text says how to mend it.
+No display is needed. Importing matplotlib takes a second, so only commands that draw import this module.
 """
 
 import io
@@ -9,20 +8,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
-
-try:
-    import matplotlib as mpl
-    from matplotlib.axes import Axes
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LogNorm, Normalize
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-    from PIL import Image  # comes with matplotlib, which needs it
-except ImportError as missing:
-    raise ImportError("pictures need matplotlib: pip install 'roughmap[plot]'") from missing
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from PIL import Image
 
 Floats = npt.NDArray[np.float64]
 

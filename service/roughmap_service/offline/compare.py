@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from roughmap import RoughMap
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap.reading.layers import LAYERS
 
 SKIPPED = ("age",)
@@ -81,7 +81,7 @@ def _cells(tile: int, side: float, fine: RoughMap) -> npt.NDArray[np.int64]:
 
 
 def _sampled(
-    finer: Frozen,
+    finer: FrozenMap,
     known: set[tuple[int, ...]],
     names: list[str],
     columns: npt.NDArray[np.int64],

@@ -6,34 +6,31 @@ from dataclasses import replace as with_values
 from pathlib import Path
 
 from roughmap_schemas import CheckpointEvent, CloudReason, Config, Event, IntegrationEvent, configuration_digest
-from roughmap_service.journal.reader import (
-    EventRecord,
-    FileStart,
-    LogError,
-    LogItem,
-    RunFile,
-    find_files,
-    one_run,
-    read_run,
-)
-from roughmap_service.run.apply import RunError, RunState
+from roughmap_schemas.faults import ReportedError
+from roughmap_service.journal.reader import LogError
+from roughmap_service.journal.records import EventRecord, FileStart, LogItem
+from roughmap_service.journal.run_files import RunFile, find_files, one_run, read_run
 from roughmap_service.run.fold import Step, fold
 from roughmap_service.run.inbox import INTEGRATED
+from roughmap_service.run.run import Run, RunError
 from roughmap_service.run.settings import Settings, new_map
 from roughmap_service.store.map_db import Store
+from roughmap_service.store.snapshots import take_cut
 
 
-class ReplayError(Exception):
-    """These logs can't be replayed as asked; one line. Exit 2."""
+class ReplayError(ReportedError):
+    """These logs can't be replayed as asked; one line."""
+
+    exit_code = 2
 
 
 @dataclass
 class Replayed:
     """A replay's end. ``difference`` is None where all that was compared is equal; ``config`` is the last file's."""
 
-    run: str
+    run_id: str
     config: Config
-    state: RunState
+    run: Run
     checkpoints: int = 0
     events: int = 0
     difference: str | None = None
@@ -43,7 +40,7 @@ class Replayed:
         """The last line on stdout."""
         if self.difference is not None:
             return f"differs at {self.difference}"
-        rough_map = self.state.map
+        rough_map = self.run.map
         return f"equal: {self.checkpoints} checkpoints, sequence {rough_map.sequence}, digest {rough_map.digest()}"
 
 
@@ -58,9 +55,9 @@ def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watc
     """
     files = one_run(find_files(paths))
     config = config_of(files[0])
-    state = RunState(Settings(config), new_map(config))
-    taken, low_water = _begin(files, state, from_store)
-    result = Replayed(files[0].metadata.run, config, state)
+    run = Run(Settings(config), new_map(config))
+    taken, low_water = _begin(files, run, from_store)
+    result = Replayed(files[0].metadata.run, config, run)
     reached: LogItem | None = None
 
     def items() -> Iterator[LogItem]:
@@ -69,8 +66,8 @@ def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watc
             yield reached
 
     try:
-        for step in fold(state, items(), taken=taken, low_water=low_water):
-            result.difference = _compare(step, state, taken)
+        for step in fold(run, items(), taken=taken, low_water=low_water):
+            result.difference = _compare(step, run, taken)
             if result.difference is not None:
                 return result
             if isinstance(step.item, FileStart):
@@ -81,12 +78,12 @@ def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watc
             if watch is not None:
                 watch(step)
     except RunError as error:
-        sequence = reached.event.sequence if isinstance(reached, EventRecord) else state.map.sequence
+        sequence = reached.event.sequence if isinstance(reached, EventRecord) else run.map.sequence
         result.difference = f"sequence {sequence}: {error}"
         return result
-    if from_store is not None and state.record == taken:
+    if from_store is not None and run.record == taken:
         raise ReplayError(
-            f"{from_store} holds all of this log already (sequence {state.map.sequence}): nothing is left to compare; "
+            f"{from_store} holds all of this log already (sequence {run.map.sequence}): nothing is left to compare; "
             "replay without --from compares the whole run"
         )
     if not result.checkpoints:
@@ -98,23 +95,23 @@ def what_if(
     paths: Sequence[Path],
     change: Callable[[Config], Config] = lambda config: config,
     *,
-    watch: Callable[[Step, RunState], None] | None = None,
-) -> RunState:
+    watch: Callable[[Step, Run], None] | None = None,
+) -> Run:
     """Integrate the logs again with the poses that the events name, each file under what ``change`` makes of its
     settings; nothing is compared. Errors as `replay`, and RunError where an event can't be done under the settings."""
     files = one_run(find_files(paths))
     config = change(config_of(files[0]))
-    state = RunState(Settings(config), new_map(config))
-    _begin(files, state, None)
+    run = Run(Settings(config), new_map(config))
+    _begin(files, run, None)
 
     def items() -> Iterator[LogItem]:
         for item in read_run(files):
             yield _anew(item, change)
 
-    for step in fold(state, items()):
+    for step in fold(run, items()):
         if watch is not None:
-            watch(step, state)
-    return state
+            watch(step, run)
+    return run
 
 
 def _anew(item: LogItem, change: Callable[[Config], Config]) -> LogItem:
@@ -130,12 +127,12 @@ def _anew(item: LogItem, change: Callable[[Config], Config]) -> LogItem:
 def config_of(file: RunFile) -> Config:
     """The settings with which a file begins; LogError if they can't be read."""
     try:
-        return Config.model_validate(file.metadata.configuration)
+        return Config.from_log(file.metadata.configuration)
     except ValueError as error:
         raise LogError(f"{file.path}: its configuration can't be read: {str(error).splitlines()[0]}") from None
 
 
-def _begin(files: Sequence[RunFile], state: RunState, from_store: Path | None) -> tuple[int, int]:
+def _begin(files: Sequence[RunFile], run: Run, from_store: Path | None) -> tuple[int, int]:
     """Bring the state to where the logs begin; returns the record and the low-water input from which they count."""
     first = files[0].metadata
     if from_store is None:
@@ -157,23 +154,21 @@ def _begin(files: Sequence[RunFile], state: RunState, from_store: Path | None) -
         raise ReplayError(
             f"gap: the logs begin at input {first.first_input}, and {from_store} waits for input {cut.low_water}"
         )
-    if cut.configuration_digest != configuration_digest(state.settings.config):
+    if cut.configuration_digest != configuration_digest(run.settings.config):
         raise ReplayError(f"{from_store} and the logs hold maps of other settings ([map])")
-    store.load_into(state.map, cut)
-    state.epoch, state.input, state.record = cut.epoch, cut.input, cut.record
-    for robot, buffer in cut.poses.items():
-        state.buffer(robot).load_state(buffer)
+    store.load_into(run.map, cut)
+    take_cut(cut, run)
     return cut.record, cut.low_water
 
 
-def _compare(step: Step, state: RunState, taken: int) -> str | None:
+def _compare(step: Step, run: Run, taken: int) -> str | None:
     """What differs between a step and the log, None if nothing does."""
     item = step.item
     if isinstance(item, FileStart):
         base = item.metadata
         if base.first_record <= taken or not base.base_digest:
             return None
-        found = state.map.sequence, state.map.digest()
+        found = run.map.sequence, run.map.digest()
         if found != (base.base_sequence, base.base_digest):
             logged = f"{base.base_sequence}, {base.base_digest}"
             return f"sequence {found[0]}: {item.path.name} begins with {logged}; found {found[1]}"

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from roughmap import RoughMap
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap.tiles.index import TileBox, TileVersions
 
 
@@ -38,7 +38,7 @@ class View:
         """While a change is going on, and if someone read since the last one, the map as it was before it."""
         self._lock = threading.Lock()
         self._turn = threading.Lock()
-        self._left: deque[Frozen] = deque()
+        self._left: deque[FrozenMap] = deque()
         self._was_read = False
         self._changed = threading.Condition(threading.Lock())
         self._closed = False
@@ -96,7 +96,7 @@ class View:
             yield self.map
 
     @contextmanager
-    def freeze(self, level: int = 0, box: TileBox | None = None) -> Iterator[tuple[Frozen, int]]:
+    def freeze(self, level: int = 0, box: TileBox | None = None) -> Iterator[tuple[FrozenMap, int]]:
         """A frozen part of the map and the epoch that it is of; see `RoughMap.freeze` for ``level`` and ``box``."""
         with self.reading() as rough_map:
             frozen, epoch = rough_map.freeze(level, box), self.epoch
@@ -109,7 +109,7 @@ class View:
         """Ask for `standing` at the next change."""
         self._was_read = True
 
-    def let_go(self, frozen: Frozen) -> None:
+    def let_go(self, frozen: FrozenMap) -> None:
         """Close a frozen part of the map now or, if the map is in use, when that use ends: no answer waits for it."""
         self._left.append(frozen)
         self._close_left_if_free()

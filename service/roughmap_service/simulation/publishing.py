@@ -12,6 +12,7 @@ from typing import Self
 import zenoh
 
 from roughmap_schemas.encodings import ODOMETRY, POINT_CLOUD
+from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.keys import TEMPLATES
 from roughmap_service.simulation.rover import Kind, Message
 
@@ -34,7 +35,7 @@ class Published:
     late_s: float = 0.0
 
 
-class NobodyListens(Exception):
+class NobodyListens(ReportedError):
     """No service subscribes to the robot's clouds within the time given."""
 
 

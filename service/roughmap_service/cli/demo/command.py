@@ -42,9 +42,7 @@ def demo(seconds: float, out: Path, robots: int, seed: int, as_json: bool) -> in
     exit 1 if anything differed.
     """
     from roughmap_service.cli.demo.steps import run_demo
-    from roughmap_service.cli.options import load_pictures
 
-    load_pictures()  # say now, not after the drive, that they can't be drawn
     _clear(out)
     with _Progress(seconds) as progress:
         outcome = run_demo(out, out / CONFIG_NAME, seconds=seconds, robots=robots, seed=seed, progress=progress)

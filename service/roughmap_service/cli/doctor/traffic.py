@@ -11,8 +11,8 @@ import zenoh
 from roughmap_schemas import Cloud, Keys, MessageFault, Odometry, check_encoding
 from roughmap_schemas.kinds import Kind
 from roughmap_service.inputs.subscriptions import ENCODINGS
-from roughmap_service.run.apply import span
-from roughmap_service.run.fold import decode
+from roughmap_service.run.decoding import decode
+from roughmap_service.run.placing import span
 from roughmap_service.run.settings import Settings
 
 MAX_KEPT = 20_000
