@@ -6,7 +6,7 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-random check audit bench bench-peers faults fuzz soak overload schemas lock image container-test clean
+.PHONY: help setup demo test test-random test-recordings check audit bench bench-peers faults fuzz soak overload schemas lock image container-test clean
 
 help:  ## show this list
 	@echo "make TARGET, where TARGET is:"
@@ -31,6 +31,10 @@ test: $(READY)  ## run all tests, on two cores
 
 test-random: $(READY)  ## run the property tests with random examples, ten times as many as in make test
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m hypothesis --hypothesis-profile=random --timeout=2400 $(ARGS)
+
+test-recordings: $(READY)  ## run the tests with recorded scans: DATA=FOLDER (CONTRIBUTING.md names what it must hold)
+	@test -d "$(DATA)" || { echo "no folder of recordings: make test-recordings DATA=FOLDER"; exit 1; }
+	$(BIN)/python -m pytest tests/recordings --recordings "$(DATA)" $(ARGS)
 
 check: $(READY)  ## check style, types, import rules and exported schemas
 	$(BIN)/ruff check .

@@ -1,7 +1,6 @@
-"""Cells made by hand or at random for the tests of the read path, and maps read cell by cell."""
+"""Cells made by hand or at random for the tests of the read path."""
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
@@ -48,13 +47,3 @@ def chance_tile(seed: int, known: float = 0.7) -> np.ndarray:
     tile["inv_cf"] = tile["weight"] * rng.uniform(1e3, 1e6, TILE_SHAPE)
     tile[rng.uniform(size=TILE_SHAPE) > known] = np.zeros((), dtype=CELL_DTYPE)
     return tile
-
-
-def over_cells(m: Any, cells: np.ndarray, names: Iterable[str], **options: Any) -> tuple[dict[str, np.ndarray], int]:
-    """Return layers of a map at the cells (M, 2), and the number of known cells in the smallest box around them."""
-    (i0, j0), (i1, j1) = cells.min(axis=0), cells.max(axis=0) + 1
-    side = m.cell_size * (1 << options.get("level", 0))
-    r = m.region((i0 * side, j0 * side, i1 * side, j1 * side), [*names, "count"], **options)
-    assert r.shape == (j1 - j0, i1 - i0)
-    rows, columns = cells[:, 1] - j0, cells[:, 0] - i0
-    return {name: r[name][rows, columns] for name in names}, int(np.count_nonzero(r["count"]))

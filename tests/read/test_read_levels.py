@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from read_tools import TILE_SHAPE, cell_of, chance_tile, over_cells, tile_of
+from read_tools import TILE_SHAPE, cell_of, chance_tile, tile_of
+from two_methods import over_cells
 
 from roughmap.cell import CELL_DTYPE
 from roughmap.map import RoughMap

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from roughmap_schemas import MapStatus, encode_cloud, encode_odometry
 
-HALL = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "hall_sequence.npz"
 REACH = 10.0
 """Metres around the walk within which the floor was seen well; farther off it is seen at a grazing angle."""
 
@@ -67,10 +66,8 @@ def play(feed: Feed, points: list[np.ndarray], stamps: list[int], poses: np.ndar
 
 
 @pytest.fixture(scope="module")
-def floor(tmp_path_factory: pytest.TempPathFactory) -> Floor:
-    if not HALL.exists():
-        pytest.skip(f"the recording is not here: {HALL}")
-    with np.load(HALL) as hall:
+def floor(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Floor:
+    with np.load(recordings / "hall_sequence.npz") as hall:
         start, poses = hall["scan_start"], hall["pose"]
         points = [hall["points"][a:b].astype(np.float32) / 1000 for a, b in pairwise(start)]
         stamps = [round(second * 1e9) for second in hall["stamp_s"].tolist()]

@@ -2,23 +2,19 @@
 
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
-from test_running_against_batch import compare
+from two_methods import compare
 
 from roughmap.map import RoughMap
 from roughmap.points.footprint import ERROR_MODELS
 from roughmap.reference.batch import BatchMap
 
-SURVEY = Path(__file__).parents[3] / "shared" / "data" / "lone-star.laz"
-
 
 @pytest.fixture(scope="module")
-def survey() -> np.ndarray:
-    if not SURVEY.exists():
-        pytest.skip(f"the survey is not here: {SURVEY}")
-    laspy = pytest.importorskip("laspy")
-    return np.ascontiguousarray(laspy.read(SURVEY).xyz)
+def survey(recordings: Path) -> np.ndarray:
+    return np.ascontiguousarray(laspy.read(recordings / "lone-star.laz").xyz)
 
 
 @pytest.mark.parametrize("model", ERROR_MODELS)

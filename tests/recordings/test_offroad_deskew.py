@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 
 from roughmap_schemas import IntegrationEvent, encode_cloud, encode_odometry
 
-DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "offroad_tradr"
 STAMP = 1725981157_851716757
 EARLY_NS, LATE_NS = 12_000_000, 88_000_000
 """The ends of the sweep, of 99.85 ms: 43 degrees each, which overlap since beams are staggered and the robot turns."""
@@ -38,18 +37,18 @@ class Ranges:
     events: dict[str, IntegrationEvent]
 
 
-def poses() -> tuple[list[int], np.ndarray, np.ndarray]:
+def poses(folder: Path) -> tuple[list[int], np.ndarray, np.ndarray]:
     """Stamps (57), the scanner's positions and rotations in the map."""
-    with (DATA / "poses" / "lidar_poses.csv").open() as file:
+    with (folder / "poses" / "lidar_poses.csv").open() as file:
         rows = list(csv.reader(file))[1:]
     stamps = [int(Decimal(row[0]) * 10**9) for row in rows]
     matrices = np.array([[float(value) for value in row[1:]] for row in rows]).reshape(-1, 3, 4)
     return stamps, matrices[:, :, 3], Rotation.from_matrix(matrices[:, :, :3]).as_quat()
 
 
-def seam(points: np.ndarray, times: np.ndarray, *, deskewed: bool) -> set[tuple[int, int]]:
+def seam(folder: Path, points: np.ndarray, times: np.ndarray, *, deskewed: bool) -> set[tuple[int, int]]:
     """Cells that both ends of the sweep hit, placed here by scipy."""
-    stamps, positions, rotations = poses()
+    stamps, positions, rotations = poses(folder)
     before = stamps.index(STAMP)  # the sweep begins at exactly this pose
     u = times / (stamps[before + 1] - stamps[before]) * (1.0 if deskewed else 0.0)
     first, second = Rotation.from_quat(rotations[before]), Rotation.from_quat(rotations[before + 1])
@@ -67,17 +66,16 @@ def ranges_at(feed: Feed, cells: list[tuple[int, int]]) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def ranges(tmp_path_factory: pytest.TempPathFactory) -> Ranges:
-    if not DATA.exists():
-        pytest.skip(f"the sweep is not here: {DATA}")
-    with np.load(next((DATA / "clouds").glob("*.npz"))) as file:
+def ranges(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Ranges:
+    folder = recordings / "offroad_tradr"
+    with np.load(folder / "clouds" / "1725981157_851716757.npz") as file:
         cloud = file["cloud"]
     points, times = np.stack([cloud["x"], cloud["y"], cloud["z"]], axis=1), cloud["t"].astype(np.int64)
     returned = np.isfinite(points).all(axis=1)
     inside = points[returned].astype(np.float64), times[returned]
-    both = sorted(seam(*inside, deskewed=True) & seam(*inside, deskewed=False))
+    both = sorted(seam(folder, *inside, deskewed=True) & seam(folder, *inside, deskewed=False))
     found, events = {}, {}
-    stamps, positions, rotations = poses()
+    stamps, positions, rotations = poses(folder)
     # Poses lie up to 4 s apart; the point model, so that a cell's range is that of the points which fell into it.
     settings = {"map": {"error_model": "point"}, "input": {"max_pose_gap": 5.0, "pose_history": 200.0}}
     for name, offsets in (("deskewed", times), ("still", None)):

@@ -1,0 +1,13 @@
+"""The folder of recordings, from `make test-recordings DATA=FOLDER`."""
+
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def recordings(request: pytest.FixtureRequest) -> Path:
+    folder: Path | None = request.config.getoption("--recordings")
+    if folder is None or not folder.is_dir():
+        pytest.fail(f"no folder of recordings: {folder}; give one with --recordings")
+    return folder.resolve()
