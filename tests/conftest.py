@@ -10,6 +10,7 @@ properties.register()
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--storm-seconds", type=float, default=8.0, help="how long tests/storm lets all go on at once")
+    parser.addoption("--require-prometheus", action="store_true", help="fail without prometheus and promtool")
     parser.addoption("--recordings", type=Path, metavar="FOLDER", help="recordings for tests/recordings")
 
 

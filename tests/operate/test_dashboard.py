@@ -134,10 +134,17 @@ def test_the_dashboard_can_be_imported() -> None:
         assert len({target["refId"] for target in panel["targets"]}) == len(panel["targets"])
 
 
-def test_promtool_finds_no_fault() -> None:
-    promtool = shutil.which("promtool")
-    if promtool is None:
-        pytest.skip("promtool is not installed (Debian: prometheus); names and labels are checked above")
+def installed(program: str, config: pytest.Config) -> str:
+    """The path of a program of Prometheus; without it the test is skipped, or fails with --require-prometheus."""
+    path = shutil.which(program)
+    if path is None:
+        report = pytest.fail if config.getoption("--require-prometheus") else pytest.skip
+        report(f"{program} is not installed (Debian: prometheus)")
+    return path
+
+
+def test_promtool_finds_no_fault(pytestconfig: pytest.Config) -> None:
+    promtool = installed("promtool", pytestconfig)
     done = subprocess.run([promtool, "check", "rules", str(ALERTS)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     with Served() as served, pages(Sources(Readiness(), metrics=filled_metrics(served, DOCKER).text)) as server:
@@ -183,10 +190,8 @@ def asked(where: str, path: str, **parameters: str) -> Any:
         raise AssertionError(f"{parameters}: {error.read().decode()}") from None
 
 
-def test_a_real_prometheus_scrapes_and_runs_every_expression(tmp_path: Path) -> None:
-    program = shutil.which("prometheus")
-    if program is None:
-        pytest.skip("prometheus is not installed (Debian: prometheus)")
+def test_a_real_prometheus_scrapes_and_runs_every_expression(tmp_path: Path, pytestconfig: pytest.Config) -> None:
+    program = installed("prometheus", pytestconfig)
     with Served() as served:
         served.counters.cloud("integrated", 1000, {}, None, 0.01)
         sources = Sources(Readiness(), metrics=filled_metrics(served, tmp_path).text)
