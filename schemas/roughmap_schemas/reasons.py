@@ -85,7 +85,7 @@ Reason = PointReason | CloudReason | PoseReason | Refusal
 MEANING: Final[dict[type[Reason], dict[str, str]]] = {
     PointReason: {
         "not_finite": "NaN or infinite",
-        "no_return": "no return, as from the sky",
+        "no_return": "no echo, as from the sky",
         "time": "its time is not within 1 s after its scan's stamp",
         "no_pose": "no poses around its time",
         "self": "on the robot itself (sensors.*.exclude)",

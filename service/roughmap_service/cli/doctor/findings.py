@@ -35,4 +35,4 @@ def show(findings: list[Finding]) -> None:
         if finding.remedy:
             click.echo(f"{'':5}  {'':{width}}  -> {printable(finding.remedy)}")
     wrong, notes = (sum(finding.verdict == verdict for finding in findings) for verdict in ("wrong", "note"))
-    click.echo(f"{wrong} wrong, {notes} notes, {len(findings) - wrong - notes} ok")
+    click.echo(f"{wrong} wrong, {notes} {'note' if notes == 1 else 'notes'}, {len(findings) - wrong - notes} ok")
