@@ -14,7 +14,7 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from live_service import decisions, live_service
 from net import WAIT_S, peer_config
 
-from roughmap_service.cli.demo.parts import ServiceProcess
+from roughmap_service.cli.demo.processes import ServiceProcess
 from roughmap_service.cli.main import cli, run
 
 ROOT = Path(__file__).resolve().parents[1]
