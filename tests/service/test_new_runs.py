@@ -69,7 +69,7 @@ def test_a_checkpoint_that_comes_out_otherwise(logs: Path, own: bool, caplog: py
     changes = {} if own else {"version": "0.0.1"}
     rewrite(path, nth("/events", 1, other_digest), **changes)
     if own:
-        with pytest.raises(RunError, match="can't be followed"):
+        with pytest.raises(RunError, match="can't be replayed"):
             recover(config(), logs, None)
     else:
         assert recover(config(), logs, None).run.map.digest() == run.run.map.digest()

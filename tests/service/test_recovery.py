@@ -95,7 +95,7 @@ def test_every_event_is_applied_once_whichever_files_are_left(logs: Path, store:
     assert len(files) == 3
     files[0].unlink()
     assert digest(recover(config(), logs, store)) == run.run.map.digest()
-    with pytest.raises(LogError, match=r"begins at record .*no store to begin from"):
+    with pytest.raises(LogError, match=r"begins at record .*no store before it"):
         recover(config(), logs, None)
     files[1].unlink()
     with pytest.raises(LogError, match="the store ends at record"):

@@ -97,7 +97,7 @@ def recover(
 
 
 def set_aside_damaged(store: Store, directory: Path, damage: str) -> bool:
-    """Set a damaged store aside, so that the next start rebuilds the map; False if the log does not reach back so far."""
+    """Set a damaged store aside, so that the next start rebuilds the map; False if the log lacks the beginning."""
     files = newest_run(directory, None)
     if not files or files[0].metadata.first_record > 1:
         return False

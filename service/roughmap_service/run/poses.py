@@ -126,7 +126,7 @@ class PoseBuffer:
         return bool(self.poses) and self.poses[0].stamp_ns <= first_ns and self.poses[-1].stamp_ns >= last_ns
 
     def window(self, first_ns: int, last_ns: int) -> list[Pose]:
-        """Return the poses from the last at or before ``first_ns`` to the first at or after ``last_ns``; see `covers`."""
+        """Return the poses from the last at or before ``first_ns`` to the first at or after ``last_ns``."""
         start = bisect_right(self.poses, first_ns, key=_stamp) - 1
         end = bisect_left(self.poses, last_ns, key=_stamp) + 1
         return self.poses[start:end]
