@@ -1,6 +1,6 @@
 """Reading the configuration: file, then environment, then command line, each over the one before.
 
-A fault is one line: whence the value came, the key, what is allowed. Where each value came from is kept.
+An error is one line: the source of the value, the key, what is allowed. The source of each value is kept.
 """
 
 import difflib
@@ -21,20 +21,20 @@ from roughmap_schemas.values import LEAST
 DEFAULT_FILE: Final = Path("roughmap.toml")
 PREFIX: Final = "ROUGHMAP_"
 MAX_FILE: Final = 1 << 20
-"""Bytes of a configuration file: anything larger is another file."""
+"""Largest configuration file in bytes; anything larger is some other file."""
 
 FILES_ONLY: Final = ("sensors", "robots")
-"""Tables whose keys are names of frames and robots, which no environment variable can spell."""
+"""Tables with names of frames and robots as keys, which can't be written as environment variables."""
 
 DEFAULT: Final = "default"
 
 SECRETS: Final = ("zenoh.password", "http.token")
-"""Settings that are taken from the environment alone: a command line is seen by all, a file is passed around."""
+"""Settings that may only come from the environment: others can see a command line, and files get shared."""
 
 
 @dataclass(frozen=True)
 class LoadedConfig:
-    """The settings that hold, and whence each came.
+    """The effective settings and where each comes from.
 
     ``sources`` maps dotted keys (``map.cell_size``, ``sensors.lidar.range_sigma``) to "default", "file NAME",
     "environment NAME" or "command line". ``path`` is the file that was read, None if there was none.
@@ -45,7 +45,7 @@ class LoadedConfig:
     path: Path | None
 
     def given(self, dotted: str) -> bool:
-        """Tell whether a setting was given anywhere."""
+        """Tell whether a setting was given, so is not a default."""
         return self.sources.get(dotted, DEFAULT) != DEFAULT
 
 
@@ -54,7 +54,7 @@ def load_config(
 ) -> LoadedConfig:
     """Read the settings; raises ``ConfigFault``.
 
-    ``path`` None reads ./roughmap.toml if it is there. ``overrides`` are dotted keys from the command line, ``environ``
+    ``path`` None reads ./roughmap.toml if it exists. ``overrides`` are dotted keys from the command line, ``environ``
     the environment (None: none).
     """
     values: dict[str, Any] = {}
@@ -73,18 +73,20 @@ def load_config(
     for dotted in SECRETS:
         if not given.get(dotted, "environment").startswith("environment"):
             variable = PREFIX + dotted.upper().replace(".", "__")
-            raise ConfigFault(f"{given[dotted]}: {dotted}: must be in {dotted}_file, or in the environment, {variable}")
+            raise ConfigFault(
+                f"{given[dotted]}: {dotted}: only allowed in {dotted}_file or in the environment variable {variable}"
+            )
     config = _validated(values, given, str(file) if file is not None else "configuration")
     sources = {dotted: given.get(dotted, DEFAULT) for dotted in _leaves(config.model_dump(mode="python"))}
     for dotted in sources:
-        # What a robot's sensor doesn't set itself comes from the general table of that frame.
+        # A setting that a robot's sensor lacks comes from the general table of that frame.
         if dotted.startswith("robots.") and dotted not in given:
             sources[dotted] = given.get(f"sensors.{dotted.partition('.sensors.')[2]}", DEFAULT)
     return LoadedConfig(config, sources, file)
 
 
 def config_from(values: Mapping[str, Any], source: str) -> Config:
-    """Make the settings from a dict such as ``Config.public_dict`` gives; ``source`` is named in faults."""
+    """Make the settings from a dict such as ``Config.public_dict`` gives; ``source`` is named in errors."""
     return _validated(dict(values), {}, source)
 
 
@@ -97,15 +99,15 @@ def read_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigFault(f"{path}: can't be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:
-        raise ConfigFault(f"{path}: is no UTF-8 text (byte {error.start})") from None
+        raise ConfigFault(f"{path}: not UTF-8 (byte {error.start})") from None
     except tomllib.TOMLDecodeError as error:
-        raise ConfigFault(f"{path}: is no TOML: {error}") from None
+        raise ConfigFault(f"{path}: not valid TOML: {error}") from None
     except RecursionError:
-        raise ConfigFault(f"{path}: is nested too deep") from None
+        raise ConfigFault(f"{path}: nested too deeply") from None
 
 
 def _leaves(values: Mapping[str, Any]) -> Iterator[str]:
-    """Give the dotted keys: three deep, deeper under robots; what lies below is a value as a whole."""
+    """Give the dotted keys, two levels deep and four under robots; a table below is one value."""
     for section, table in values.items():
         if isinstance(table, dict):
             yield from _deep(section, table, 3 if section == "robots" else 1)
@@ -123,12 +125,12 @@ def _deep(prefix: str, table: Mapping[str, Any], depth: int) -> Iterator[str]:
 
 
 def _put(values: dict[str, Any], given: dict[str, str], parts: tuple[str, ...], value: object, source: str) -> None:
-    """Set one value over what is there; raises ``ConfigFault`` for a key that doesn't exist."""
+    """Set one value; raises ``ConfigFault`` for an unknown key."""
     dotted = ".".join(parts)
     if dotted in REMOVED:
         raise ConfigFault(f"{source}: {dotted}: {_removed(dotted)}")
     if parts[0] in FILES_ONLY:
-        raise ConfigFault(f"{source}: {dotted}: {parts[0]} can be set in a file only, as [{parts[0]}.NAME] tables")
+        raise ConfigFault(f"{source}: {dotted}: {parts[0]} can only be set in a file, as [{parts[0]}.NAME] tables")
     section = _section(parts[0])
     if section is None or len(parts) < 2:
         meant = _meant(parts[0], _sections())
@@ -156,7 +158,7 @@ def _sections() -> list[str]:
 
 
 def _section(name: str) -> type[BaseModel] | None:
-    """Give a section's model (``keys`` is a plain table and gives the whole's)."""
+    """Give a section's model; for ``keys``, a plain table, the model of the whole configuration."""
     if name == "keys":
         return Config
     field = Config.model_fields.get(name)
@@ -165,7 +167,7 @@ def _section(name: str) -> type[BaseModel] | None:
 
 
 def _from_text(parts: tuple[str, ...], text: str, source: str) -> object:
-    """Read a variable's value: lists and tables as JSON, all else as the text that it is."""
+    """Read a variable's value: lists and tables as JSON, everything else as text."""
     if ".".join(parts) in SECRETS or not text.lstrip().startswith(("[", "{")):
         return text
     try:
@@ -182,13 +184,13 @@ def _validated(values: dict[str, Any], given: Mapping[str, str], otherwise: str)
 
 
 def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> str:
-    """Put the first fault into one line: an unknown key before all, since a key that is missing may stand there so."""
+    """Put the first error into one line. An unknown key comes first: it may be a misspelling of a missing one."""
     errors = error.errors(include_url=False, include_context=False)
     first = min(errors, key=lambda fault: fault["type"] != "extra_forbidden")
     parts = tuple(str(part) for part in first["loc"] if part != "[key]")
     dotted = ".".join(parts)
     text = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
-    text = text.replace(f"{LEAST:.30f}", f"{LEAST:g}")  # as pydantic writes it, and as a person reads it
+    text = text.replace(f"{LEAST:.30f}", f"{LEAST:g}")  # pydantic writes all 30 digits
     if dotted in REMOVED:
         text = _removed(dotted)
     elif first["type"] == "extra_forbidden":
@@ -212,7 +214,7 @@ def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> s
         text = f"{text}; found {_found(first['input'], parts)}"
     key, colon, rest = text.partition(": ")
     if colon and " " not in key and (not dotted or key.startswith(f"{dotted}.")):
-        # A check over several settings names the one that it is about by itself.
+        # The message of a check over several settings begins with the key that it is about.
         dotted, text = key, rest
     source = next((given[known] for known in _prefixes(dotted) if known in given), otherwise)
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
@@ -225,7 +227,7 @@ def _removed(dotted: str) -> str:
 
 
 def _meant(key: str, allowed: Sequence[str]) -> str:
-    """Name the key that was probably meant, if any."""
+    """Suggest the key that was probably meant, if any."""
     close = difflib.get_close_matches(key, allowed, 1)
     return f", did you mean {close[0]}?" if close else ""
 
@@ -254,8 +256,10 @@ def _allowed(parts: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _found(value: object, parts: tuple[str, ...]) -> str:
-    """Show a value in an error, but nothing of ``zenoh`` and ``http`` that may be a secret: of an endpoint its address,
-    and nothing at all of what stands where a table, or one text, should be."""
+    """Show a value in an error, without secrets of ``zenoh`` and ``http``.
+
+    There an endpoint is shown as its address, and a value of the wrong type as its type.
+    """
     if parts[:1] in {("zenoh",), ("http",)} and not isinstance(value, bool | int | float):
         value = without_secrets(value) if isinstance(value, str) and len(parts) > 1 else type(value)
     text = repr(value)

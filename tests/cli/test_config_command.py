@@ -50,7 +50,7 @@ def test_json_has_every_setting_that_the_text_has(capsys: pytest.CaptureFixture[
         ("[map]\nlevels = 99\n", None, None, ["roughmap.toml", "map.levels", "99"]),
         ("[log]\ncompression = 'gzip'\n", None, None, ["roughmap.toml", "log.compression", "lz4", "zstd", "gzip"]),
         ("[sensors.lidar]\nbeam_sigma = 0.1\n", None, None, ["sensors.lidar.range_sigma", "is required"]),
-        ("[map\n", None, None, ["roughmap.toml", "is no TOML", "line 1"]),
+        ("[map\n", None, None, ["roughmap.toml", "not valid TOML", "line 1"]),
         ("", None, 'zenoh.listen=["7447"]', ["command line", "zenoh.listen", "must match", "7447"]),
     ],
 )

@@ -139,7 +139,7 @@ def test_a_password_on_the_command_line_is_refused(capsys: pytest.CaptureFixture
     """Every user of the machine sees it there."""
     assert run(["config", "show", "--set", given, "--set", "zenoh.user=u"]) == 2
     told = said(capsys)
-    assert "zenoh.password_file, or in the environment, ROUGHMAP_ZENOH__PASSWORD" in told
+    assert "zenoh.password_file or in the environment variable ROUGHMAP_ZENOH__PASSWORD" in told
     assert CANARY not in told
 
 
