@@ -137,7 +137,7 @@ def test_ctrl_c_is_one_line(capsys: pytest.CaptureFixture[str], monkeypatch: pyt
     assert (code, out, err.strip()) == (130, "", "roughmap: interrupted")
 
 
-def test_a_fault_of_our_own_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError
 
@@ -158,7 +158,7 @@ def test_a_reader_that_leaves_is_no_error() -> None:
     assert err == b""
 
 
-def test_show_says_whence_each_setting_came(
+def test_show_names_the_source_of_each_setting(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "roughmap.toml").write_text('[map]\nname = "quarry"\ncell_size = 0.5\ncoverage = 3.0\n')

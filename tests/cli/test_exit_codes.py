@@ -81,13 +81,3 @@ def test_one_line_and_the_code(
     monkeypatch.setattr(main, "cli", failing)
     assert main.run([]) == code
     assert tuple(capsys.readouterr()) == ("", "roughmap: the cause and the remedy\n")
-
-
-def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
-    @click.command()
-    def failing() -> None:
-        raise ZeroDivisionError
-
-    monkeypatch.setattr(main, "cli", failing)
-    with pytest.raises(ZeroDivisionError):
-        main.run([])

@@ -56,7 +56,8 @@ def cli() -> None:
     about a minute.
 
     The help of each command begins with a line that you can run: `roughmap COMMAND --help`. For a service of your
-    own, begin with `roughmap config example`, then `serve`; the others work beside it in a second terminal.
+    own, begin with `roughmap config example`, then `serve`; `simulate`, `query`, `top`, `health` and `doctor` work
+    beside it in a second terminal.
     """
 
 

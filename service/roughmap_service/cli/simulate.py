@@ -80,7 +80,7 @@ def simulate(
 
     Drive a rover over synthetic ground of known height and publish its scans and poses to a running
     `roughmap serve`, as a robot would. The ground has slopes, rocks, a ditch and a wall. The scanner turns while the
-    rover moves, and the localisation has the errors that its covariance states.
+    rover moves, and the poses have errors as large as their covariance says.
 
     The service must know the rover's sensor, `lidar`. `roughmap config example` prints a configuration that has it;
     without it the service refuses the scans.

@@ -41,8 +41,8 @@ def demo(seconds: float, out: Path, robots: int, seed: int, as_json: bool) -> in
     """roughmap demo
 
     Start a service on a free port of this machine, drive a simulated rover that sends it scans and poses, and query
-    20 x 20 m of the map five times a second meanwhile. Then stop the service, replay its log, and compare the
-    replayed map with the served one and the heights with the simulated ground.
+    20 x 20 m of its map five times a second. Then stop the service, replay its log, and compare the replayed map
+    with the served one, and the heights with the simulated ground.
 
     The demo prints a table and a line that begins with `equal`, and draws the map. Exit code 1 if anything differs.
     """
