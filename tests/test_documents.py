@@ -58,7 +58,7 @@ def rows(name: str, head: str) -> list[list[str]]:
         ("CHANGELOG.md", "`log_not_writable` after {:g} s without an answer", disk.HANG_SECONDS),
         ("CHANGELOG.md", "delay the end by {:g} s at most", answers.CLOSE_SECONDS + ending.LINKS_SECONDS),
         ("CHANGELOG.md", "(1/{:g} of the limit,", 1 / memory.KEPT_SHARE),
-        ("CHANGELOG.md", "at most {:g} MiB)", memory.MOST_KEPT / 2**20),
+        ("CHANGELOG.md", "at most {:g} MiB)", memory.MAX_KEPT_BYTES / 2**20),
     ],
 )
 def test_a_figure_is_the_codes(name: str, words: str, value: object) -> None:
