@@ -87,7 +87,7 @@ def test_weaknesses() -> None:
     users = {"auth": {"usrpwd": {"dictionary_file": "users.txt"}}}
     assert weaknesses(listening("tls/0.0.0.0:7447", transport=tls)) == []
     assert weaknesses(listening("tls/0.0.0.0:7447", transport=users)) == []
-    assert "tls/0.0.0.0:7447 asks nobody" in weaknesses(listening("tls/0.0.0.0:7447"))[0]
+    assert "tls/0.0.0.0:7447 requires neither" in weaknesses(listening("tls/0.0.0.0:7447"))[0]
     assert "tcp/map:7447 is not encrypted" in weaknesses(listening(connect={"endpoints": ["tcp/map:7447"]}))[0]
 
 

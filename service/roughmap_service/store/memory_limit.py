@@ -25,7 +25,7 @@ BATCH_TILES = 64
 """Tiles that leave at a time, 16 MiB. Between batches the memory is measured again, and readers get the lock."""
 
 HIGH, LOW = 15 / 16, 7 / 8
-"""Shares of the limit: above HIGH tiles leave until memory is below LOW. The gap keeps this from never ending."""
+"""Shares of the limit: above HIGH, tiles leave until memory is below LOW. Without the gap some would always leave."""
 
 RETRY_SECONDS = 1.0
 """Pause after the disk refused tiles."""

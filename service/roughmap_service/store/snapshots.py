@@ -114,7 +114,7 @@ class Snapshots:
         return thread
 
     def look(self) -> None:
-        """Check whether the store's disk still answers. Call this regularly: the writing thread itself hangs."""
+        """Check whether the store's disk still answers. Call this regularly; the writing thread can't: it hangs."""
         progress = self._progress
         if self.ok and progress is not None and time.monotonic() > progress + HANG_SECONDS:
             self._fail(TimeoutError(f"its disk has not answered for {HANG_SECONDS:g} s"))
