@@ -94,8 +94,8 @@ class Counters:
     ) -> None:
         """Count a decided cloud.
 
-        ``arrival`` is its monotonic time in seconds, None for a cloud from before a restart. ``seconds`` is the duration
-        of its integration.
+        ``arrival`` is its monotonic time in seconds, None for a cloud from before a restart. Its integration took
+        ``seconds``.
         """
         with self._lock:
             now = time.monotonic()
@@ -144,7 +144,7 @@ class Counters:
             self._counts.jumps[_bounded(robot, self._counts.jumps)] += 1
 
     def output_dropped(self, kind: str) -> None:
-        """Count a record of a query ("queries") or an update ("updates") that was dropped for lack of room in the log's queue."""
+        """Count a record of ``kind`` ("queries" or "updates") that found no room in the log's queue."""
         with self._lock:
             self._counts.outputs_dropped[kind] += 1
 
@@ -187,11 +187,8 @@ class Counters:
         since = time.monotonic() - LAG_WINDOW_SECONDS
         with self._lock:
             poses = sum(arrival >= since for arrival in self._recent_poses)
-        return (
-            len(window) / LAG_WINDOW_SECONDS,
-            sum(sample[2] for sample in window) / LAG_WINDOW_SECONDS,
-            poses / LAG_WINDOW_SECONDS,
-        )
+        points = sum(sample[2] for sample in window)
+        return len(window) / LAG_WINDOW_SECONDS, points / LAG_WINDOW_SECONDS, poses / LAG_WINDOW_SECONDS
 
 
 def _bounded(robot: str, counts: Counter[str]) -> str:

@@ -8,8 +8,8 @@ import time
 logger = logging.getLogger(__name__)
 
 LINKS_SECONDS = 2.0
-"""How long links may take to close once everything is on the disk. A healthy one takes milliseconds; for one whose other
-end stopped reading, Zenoh would wait ten seconds and more."""
+"""How long links may take to close once everything is on the disk. A healthy one takes milliseconds. If the other end
+stopped reading, Zenoh would wait ten seconds and more."""
 
 
 class Ending:
@@ -36,7 +36,7 @@ class Ending:
         return max(self._until - time.monotonic(), 0.0) * share
 
     def kept(self) -> None:
-        """Note that everything is on the disk. From here on only links are waited for, and a stalled client may hold one."""
+        """Note that everything is on the disk. Only links are left to wait for, and a stalled client may hold one."""
         self._kept = True
         self._give_up_after(min(self.left(), LINKS_SECONDS))
 

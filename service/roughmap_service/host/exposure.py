@@ -54,10 +54,8 @@ def exposures(config: zenoh.Config) -> list[str]:
     protocols = setting(config, "transport/link/protocols")
     if protocols and ENCRYPTED.issuperset(protocols):
         return found
-    joins = mode != "client" or not endpoints_of(
-        config, "connect"
-    )  # a client with an endpoint to connect to does not scout
-    if joins and setting(config, "scouting/multicast/enabled") is not False:  # on by default
+    scouts = mode != "client" or not endpoints_of(config, "connect")  # a client with an endpoint has no need to
+    if scouts and setting(config, "scouting/multicast/enabled") is not False:  # on by default
         found.append("scouting.multicast: connects to any Zenoh program on the network without TLS")
     beyond = [one for which in ("listen", "connect") for one in endpoints_of(config, which) if not is_private(one)]
     if mode == "peer" and beyond and setting(config, "scouting/gossip/enabled") is not False:

@@ -62,7 +62,7 @@ class _Kind:
 
 
 class Lines(logging.StreamHandler[TextIO]):
-    """Prints a few lines of each kind at a time. The others are counted, and reported with the next or at the end."""
+    """Prints a few lines of each kind at a time; the others are counted, and reported with the next or at the end."""
 
     def __init__(self, stream: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(stream)
@@ -95,7 +95,7 @@ class Lines(logging.StreamHandler[TextIO]):
             self._lost += 1
             return
         if self._lost:
-            text = f"{self._lost} log lines are lost: the reader of stderr took none"
+            text = f"{self._lost} log lines are lost: stderr was blocked"
             self._lost = 0
             super().emit(logging.LogRecord(__name__, logging.WARNING, __file__, 0, text, None, None))
         super().emit(record)
