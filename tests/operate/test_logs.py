@@ -22,7 +22,7 @@ from roughmap_service.host.log_lines import (
     set_up,
 )
 from roughmap_service.inputs import queue as intake
-from roughmap_service.inputs.subscriptions import refuse
+from roughmap_service.inputs.admission import refuse
 from roughmap_service.watch.status import Overload
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from log_edits import nth, rewrite
 from mcap.writer import CompressionType, Writer
-from service_tools import T0, Run, cloud, config, events_of, inputs_of, metadata, odometry, read_back, starts_of
+from service_tools import T0, LoggedRun, cloud, config, events_of, inputs_of, metadata, odometry, read_back, starts_of
 
 from roughmap_schemas import Config, encode_event
 from roughmap_schemas.kinds import Kind
@@ -17,7 +17,7 @@ from roughmap_service.journal.records import LogItem, LogRecord
 from roughmap_service.journal.run_files import RunFile, find_files, one_run, read_run
 
 
-def scans(run: Run, count: int = 2) -> None:
+def scans(run: LoggedRun, count: int = 2) -> None:
     for k in range(count):
         run.scan(float(k), 0.3 * k)
         run.checkpoint()
@@ -26,7 +26,7 @@ def scans(run: Run, count: int = 2) -> None:
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     """A closed file of a run."""
-    with Run(tmp_path / "log") as run:
+    with LoggedRun(tmp_path / "log") as run:
         scans(run)
     (path,) = (tmp_path / "log").glob("*.mcap")
     return path
@@ -43,11 +43,12 @@ def one_line(path: Path, words: str) -> None:
 
 
 def test_all_in_file_order_with_their_numbers(tmp_path: Path) -> None:
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         scans(run)
         run.rotate()
-        scans(run, 1)
-        expected = run.state.input, run.state.record
+        run.scan(9.0)
+        run.checkpoint()
+        expected = run.run.input, run.run.record
     items = read_back(tmp_path)
     inputs, events = inputs_of(items), [item for item in items if not hasattr(item, "path")]
     assert [item.number for item in inputs] == list(range(1, expected[0] + 1))
@@ -188,7 +189,7 @@ def test_a_damaged_length_is_no_allocation(compression: CompressionType, tmp_pat
 
 
 def test_files_are_ordered_by_run_and_index_and_each_is_there_once(tmp_path: Path) -> None:
-    with Run(tmp_path / "log") as run:
+    with LoggedRun(tmp_path / "log") as run:
         for k in range(3):
             run.scan(float(k))
             run.rotate()
@@ -200,7 +201,7 @@ def test_files_are_ordered_by_run_and_index_and_each_is_there_once(tmp_path: Pat
 
 
 def test_gaps_are_named(tmp_path: Path) -> None:
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         for k in range(3):
             run.scan(float(k))
             run.rotate()

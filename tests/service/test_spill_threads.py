@@ -66,7 +66,7 @@ def write(view: View, memory: MemoryLimit, moments: Moments) -> None:
                 rough_map.reset()
                 view.epoch += 1
                 moments.true[view.epoch, rough_map.sequence] = rough_map.digest()
-        prepared = view.map.prepare(ground(seed), np.eye(3) * 0.02**2, seed * 10**9, hold=view.reading)
+        prepared = view.map.prepare_points(ground(seed), np.eye(3) * 0.02**2, seed * 10**9, reader_lock=view.reading)
         with view.change() as rough_map:
             rough_map.integrate(prepared)
             moments.true[view.epoch, rough_map.sequence] = rough_map.digest()

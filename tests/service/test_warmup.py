@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from roughmap.integration import blocks, fused, integrate
+from roughmap.integration import blocks, phases, tile_update
 from roughmap.points import place
 from roughmap.tiles import changes, index, slots
 from roughmap_schemas import Config, decode_cloud, encode_cloud
 from roughmap_service.engine import warmup
 from roughmap_service.engine.warmup import UNTURNED, warm_up
-from roughmap_service.run.apply import prepare
+from roughmap_service.run.placing import place_cloud
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.settings import Settings, new_map
 
-MODULES = (blocks, fused, integrate, place, changes, index, slots)
+MODULES = (blocks, phases, place, tile_update, changes, index, slots)
 
 
 def compiled() -> dict[str, int]:
@@ -52,7 +52,7 @@ def test_no_cloud_finds_a_kernel_uncompiled(model: str) -> None:
             cloud = decode_cloud(payload, max_message=1 << 20, max_points=1 << 20)
             layouts.add((dtype, cloud.points.flags.aligned, cloud.points.flags.c_contiguous))
             with rough_map.freeze():
-                rough_map.integrate(prepare(rough_map, "", cloud, line, settings))
+                rough_map.integrate(place_cloud(rough_map, "", cloud, line, settings))
     assert {aligned for _, aligned, _ in layouts} == {True, False}, "both kinds came by"
     assert {packed for _, _, packed in layouts} == {True, False}, "and with other fields between"
     assert compiled() == before

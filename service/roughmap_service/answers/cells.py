@@ -5,7 +5,7 @@ import numpy.typing as npt
 import zenoh
 
 from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap_schemas.encodings import json_encoding
 from roughmap_schemas.faults import QueryFault
 from roughmap_schemas.messages import CellAnswer, CellEntry, CellState, model_bytes
@@ -73,7 +73,7 @@ def _answer(reader: Reader, asked: CellsQuery, cells: Cells, send: Send) -> Outc
     return Outcome(1, cut.sequence)
 
 
-def _state(frozen: Frozen, x: int, y: int, row: int, column: int) -> CellState | None:
+def _state(frozen: FrozenMap, x: int, y: int, row: int, column: int) -> CellState | None:
     """A cell's record; None if it was never hit."""
     record = frozen.records(x, y)[row, column]
     if record["count"] == 0:

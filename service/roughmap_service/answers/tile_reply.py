@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap.cell import TILE_CELLS
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap.reading.layers import ZERO_WHERE_UNKNOWN
 from roughmap.reading.region import CellBox, overlap, tile_box
 from roughmap_schemas.grid import Compression, encode_grid, encode_packed, packed_data
@@ -75,7 +75,12 @@ class Drawing:
     """
 
     def __init__(
-        self, frozen: Frozen | Drawable, epoch: int, wanted: Wanted, identity: Identity, cache: TileCache | None = None
+        self,
+        frozen: FrozenMap | Drawable,
+        epoch: int,
+        wanted: Wanted,
+        identity: Identity,
+        cache: TileCache | None = None,
     ) -> None:
         self.frozen = frozen
         self.epoch = epoch

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import zenoh
 
 from roughmap.cell import TILE_CELLS
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap.reading.region import MAX_CELLS, CellBox, cell_box, tile_box
 from roughmap.tiles.index import TILE_LIMIT, TileBox
 from roughmap_schemas.config import Config
@@ -51,7 +51,7 @@ LevelBox = tuple[int, TileBox | None]
 Reply = tuple[str, TileReply]
 """A reply and the key that it goes under."""
 
-State = TypeVar("State", Frozen, Drawable)
+State = TypeVar("State", FrozenMap, Drawable)
 
 
 class Send(Protocol):
@@ -122,9 +122,9 @@ class Reader:
         )
 
     @contextmanager
-    def frozen(self, boxes: Sequence[LevelBox]) -> Iterator[Cut[Frozen]]:
+    def frozen(self, boxes: Sequence[LevelBox]) -> Iterator[Cut[FrozenMap]]:
         """Several (level, box) of one and the same map, to be read while it goes on."""
-        held: list[Frozen] = []
+        held: list[FrozenMap] = []
         try:
             with self.view.reading() as rough_map:
                 held.extend(rough_map.freeze(level, box) for level, box in boxes)

@@ -5,24 +5,24 @@ import logging
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from roughmap_schemas import Config, IntegrationEvent, ResetEvent, configuration_digest
-from roughmap_schemas.kinds import Kind
+from roughmap_schemas import Config, ResetEvent, configuration_digest
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.host.disk import sync
 from roughmap_service.journal.file import FILE_NAME
 from roughmap_service.journal.reader import DamagedLog, LogError, has_summary, is_closed, last_log_time, read_metadata
-from roughmap_service.journal.records import FileStart, InputRecord, LogItem
+from roughmap_service.journal.records import EventRecord, FileStart, LogItem
 from roughmap_service.journal.repair import end_at_damage, least_epoch, repair, set_aside
 from roughmap_service.journal.run_files import RunFile, find_files, one_run, read_run
-from roughmap_service.run.apply import RunError, RunState
-from roughmap_service.run.duplicates import Duplicates
 from roughmap_service.run.fold import fold
+from roughmap_service.run.run import Run, RunError
 from roughmap_service.run.settings import Settings, new_map
 from roughmap_service.store.map_db import Cut, DamagedStore, OtherStateVersion, Store, StoreError
 from roughmap_service.store.memory_limit import MemoryLimit
+from roughmap_service.store.snapshots import take_cut
 from roughmap_service.store.stored_tiles import StoredTiles, set_index
 
 log = logging.getLogger(__name__)
@@ -32,24 +32,33 @@ class Stopped(Exception):
     """The service was asked to end while it was still on its way to the map."""
 
 
-class IdentityError(Exception):
+class IdentityError(ReportedError):
     """The configuration names another map than the store or log holds."""
+
+    exit_code = 2
 
 
 @dataclass
 class Recovered:
-    """Where a run goes on. ``undecided`` are (input, robot, bytes) of clouds that wait anew; ``cut`` is the
-    store's, and ``was_reset`` says that the map was emptied since that cut. The next file's ``created_ns`` must be at
-    least ``not_before_ns``, so that this run is the newest there whatever the clock says; ``last_ns`` is the log time
-    of its last message."""
+    """Where a run goes on.
 
-    state: RunState
-    duplicates: Duplicates
-    run: str | None = None
+    Attributes:
+        run: the run, with all that the log holds; its undecided clouds wait for `Run.resume`.
+        run_id: None for a new run.
+        index: of the run's next log file.
+        epoch: with which this start goes on.
+        cut: the store's, if there is one.
+        was_reset: whether the map was emptied since that cut.
+        not_before_ns: the next log file's ``created_ns`` must be at least this, so that this run is the newest in its
+            folder whatever the clock says.
+        last_ns: log time of the run's last message.
+    """
+
+    run: Run
+    run_id: str | None = None
     index: int = 0
     epoch: int = 1
     cut: Cut | None = None
-    undecided: list[tuple[int, str, int]] = field(default_factory=list)
     was_reset: bool = False
     not_before_ns: int = 0
     last_ns: int = 0
@@ -79,7 +88,7 @@ def recover(
         try:
             watch = _Watch(progress, stop or threading.Event(), memory, damaged=bool(ended))
             back = _recover(config, directory, store, watch)
-            back.epoch = max(back.epoch, least_epoch(directory, back.run))
+            back.epoch = max(back.epoch, least_epoch(directory, back.run_id))
             return back
         except DamagedLog as damage:
             if damage.path in ended:
@@ -119,7 +128,7 @@ def _recover(config: Config, directory: Path, store: Store | None, watch: "_Watc
         raise LogError(f"{directory}: no log to build the store of another version anew from; start with --fresh")
     result, end = _bring_back(config, store, cut, files, watch)
     if cut is not None and files and end < cut.record:
-        result.state.map.reset()  # so that it lets go of what it holds outside memory
+        result.run.map.reset()  # so that it lets go of what it holds outside memory
         result = _where_the_store_is_ahead(config, store, cut, files, end, watch)
     if outdated and store is not None:
         store.set_aside("outdated")
@@ -169,7 +178,7 @@ def _bring_back(
     try:
         return result, _fill(result, config, store, files, watch)
     except BaseException:
-        result.state.map.reset()  # so that it lets go of what it holds outside memory
+        result.run.map.reset()  # so that it lets go of what it holds outside memory
         raise
 
 
@@ -189,21 +198,21 @@ def _fill(result: Recovered, config: Config, store: Store | None, files: list[Ru
             f"{files[0].path.name} begins at record {first.first_record}, input {first.first_input}, and {begun}; "
             "bring back what is missing, or start with --fresh"
         )
-    result.run, result.index, result.epoch = last.run, last.index + 1, last.epoch + 1
+    result.run_id, result.index, result.epoch = last.run, last.index + 1, last.epoch + 1
     times = (last_log_time(file.path) for file in reversed(files))
     result.last_ns = next((time for time in times if time), 0)  # they rise over the run; a full file's footer takes 1 s
     while len(files) > 1 and files[1].metadata.first_record <= taken and files[1].metadata.first_input <= low_water:
         files = files[1:]
     end = _fold_files(result, files, taken, low_water, watch)
-    result.epoch = max(result.epoch, result.state.epoch + 1)
-    result.state.use(Settings(config))
+    result.epoch = max(result.epoch, result.run.epoch + 1)
+    result.run.use(Settings(config))
     return end
 
 
 def blank(config: Config, memory: MemoryLimit | None = None) -> Recovered:
     """The beginning of a run: an empty map at sequence 0, epoch 1."""
     rough_map = new_map(config, None if memory is None else memory.spill)
-    return Recovered(RunState(Settings(config), rough_map), Duplicates(config.input.duplicates))
+    return Recovered(Run(Settings(config), rough_map))
 
 
 def begin_anew(config: Config, directory: Path, memory: MemoryLimit | None = None) -> Recovered:
@@ -282,30 +291,26 @@ def check_identity(config: Config, stored: dict[str, object], where: Path) -> No
 
 def _take_cut(config: Config, store: Store, cut: Cut, result: Recovered, memory: MemoryLimit | None) -> None:
     check_identity(config, cut.configuration, store.path)
-    state = result.state
+    run = result.run
     if memory is None:
-        store.load_into(state.map, cut)
+        store.load_into(run.map, cut)
     else:
         stored = StoredTiles(store)
         places = memory.spill.adopt(stored)
         try:
-            set_index(state.map, cut, stored, places)
+            set_index(run.map, cut, stored, places)
         except StoreError:
             memory.spill.release(places)
             raise
-    if cut.digest and state.map.digest() != cut.digest:
+    if cut.digest and run.map.digest() != cut.digest:
         raise DamagedStore(f"{store.path}: damaged (its tiles are not those of its cut)")
-    state.epoch, state.input, state.record = cut.epoch, cut.input, cut.record
-    for robot, buffer in cut.poses.items():
-        state.buffer(robot).load_state(buffer)
-    result.duplicates.load_state(cut.duplicates)
-    result.run, result.epoch = cut.run, cut.epoch + 1
+    take_cut(cut, run)
+    result.run_id, result.epoch = cut.run, cut.epoch + 1
 
 
 def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: int, watch: _Watch) -> int:
     """Take the files up into the state; the last record that they hold."""
-    state = result.state
-    waiting: dict[int, tuple[str, int]] = {}
+    run = result.run
     done = 0
     end = files[0].metadata.first_record - 1  # it may be that none stands in the files
     own = warned = False
@@ -318,22 +323,16 @@ def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: 
             end = end if isinstance(item, FileStart) else item.record
             yield item
 
-    for step in fold(state, items(), taken=taken, low_water=low_water):
+    for step in fold(run, items(), taken=taken, low_water=low_water):
         item = step.item
         if isinstance(item, FileStart):
             if watch.progress is not None:
                 watch.progress(done, len(files))
             done += 1
             own = item.metadata.version == version("roughmap")
-        elif isinstance(item, InputRecord):
-            if item.kind is Kind.POINTS:
-                waiting[item.number] = item.robot, state.clouds[item.number].held_bytes
-            if item.record > taken:
-                identity = Duplicates.identity(item.robot, item.kind, item.payload)
-                result.duplicates.add(identity, item.number)
-        else:
+        elif isinstance(item, EventRecord):
             if watch.memory is not None:
-                watch.memory.relieve(lambda: nullcontext(state.map))
+                watch.memory.relieve(lambda: nullcontext(run.map))
             if step.outcome != item.event:
                 told = f"its event {item.event} came out as {step.outcome}"
                 if own:
@@ -341,9 +340,5 @@ def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: 
                 if not warned:  # the same bytes are promised within a release only
                     log.warning("the log is of another version, and the map comes out another: %s", told)
                 warned = True
-            if isinstance(item.event, IntegrationEvent):
-                waiting.pop(item.event.input, None)
-            elif isinstance(item.event, ResetEvent):
-                result.was_reset = True
-    result.undecided = [(number, *waiting[number]) for number in sorted(state.clouds)]
+            result.was_reset = result.was_reset or isinstance(item.event, ResetEvent)
     return end

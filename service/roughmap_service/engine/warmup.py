@@ -9,7 +9,7 @@ from roughmap.tiles.index import rehash
 from roughmap.tiles.slots import SlotPool
 from roughmap_schemas import Config, decode_cloud, encode_cloud
 from roughmap_service.host.log_lines import note
-from roughmap_service.run.apply import prepare
+from roughmap_service.run.placing import place_cloud
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.settings import Settings, new_map
 
@@ -55,7 +55,7 @@ def _run(config: Config, stop: threading.Event) -> None:
             cloud = decode_cloud(payload, max_message=LIMIT, max_points=LIMIT)
             # While part of the map is frozen for a reader, what is written to is copied: that has its kernel too.
             with rough_map.freeze():
-                rough_map.integrate(prepare(rough_map, robot, cloud, line, settings))
+                rough_map.integrate(place_cloud(rough_map, robot, cloud, line, settings))
         rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height", "confidence_level", "traversability"], level=0)
         rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height"], level=config.map.levels - 1)
         rough_map.digest()

@@ -7,11 +7,14 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.host.disk import make_directory, open_lock
 
 
-class LockError(Exception):
+class LockError(ReportedError):
     """The log directory or the store can't be used by this service; one line with the place and the remedy."""
+
+    exit_code = 2
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import threading
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.sections import HttpConfig
 from roughmap_service.host.exposure import is_loopback
 from roughmap_service.http.token import HttpError, token_of
@@ -21,7 +22,7 @@ CLOSE_SECONDS = 1.5
 """How long requests that run get at the end, and uvicorn to notice it."""
 
 
-class PortTaken(Exception):
+class PortTaken(ReportedError):
     """The address can't be listened on now; one line that names it and the mend. A later start may find it free."""
 
 

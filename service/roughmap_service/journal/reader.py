@@ -15,6 +15,7 @@ from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata,
 from mcap.stream_reader import StreamReader
 
 from roughmap_schemas import Config, ContractError, Keys, RunMetadata, decode_event
+from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.kinds import INPUTS, Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
 from roughmap_service.journal.channels import parse_topic
@@ -42,8 +43,10 @@ _DAMAGE = (McapError, struct.error, ValueError, zlib.error, zstandard.ZstdError,
 """What the libraries raise over damaged bytes."""
 
 
-class LogError(Exception):
+class LogError(ReportedError):
     """A log that can't be read; one line that names the file and the cause."""
+
+    exit_code = 2
 
 
 class DamagedLog(LogError):
@@ -169,7 +172,7 @@ def read_file(path: Path) -> Iterator[LogItem]:
     """Yield a file's beginning, inputs and events; skip outputs and foreign channels. Errors as `raw_records`."""
     metadata = read_metadata(path)
     try:
-        config = Config.model_validate(metadata.configuration)
+        config = Config.from_log(metadata.configuration)
     except ValueError as error:
         raise LogError(f"{path}: its configuration can't be read: {str(error).splitlines()[0]}") from None
     yield FileStart(path, metadata, config)

@@ -11,12 +11,10 @@ import numpy as np
 
 from roughmap import Trajectory
 from roughmap_schemas import Odometry, PoseReason, Transform
+from roughmap_schemas.geometry import Quaternion, Vector, rotation_matrix
 from roughmap_service.run.pose_algebra import (
     Floats,
-    Quaternion,
-    Triple,
     angle_between,
-    matrix,
     multiply,
     quaternion,
     rotate,
@@ -28,12 +26,19 @@ STALE_ROW = 10
 """So many stale poses in a row with rising stamps mean that the clock was set back (the design's)."""
 
 
+MAX_POSES = 20_000
+"""Poses kept of a robot, whatever the history: 10 s at 2 kHz."""
+
+MAX_TRANSFORMS = 1_000
+"""Transforms kept of a robot. One per frame is needed; the others serve odometry that arrives late."""
+
+
 @dataclass(frozen=True, slots=True)
 class Pose:
     """A robot's base in the map frame. ``covariance`` (6, 6) in map axes, None where the message told none."""
 
     stamp_ns: int
-    position: Triple
+    position: Vector
     rotation: Quaternion
     covariance: Floats | None
     input: int
@@ -46,7 +51,7 @@ class StampedTransform:
 
     stamp_ns: int
     input: int
-    translation: Triple
+    translation: Vector
     rotation: Quaternion
 
 
@@ -61,8 +66,8 @@ class PoseBuffer:
     history_ns: int
     jump_m: float
     jump_rad: float
-    max_poses: int = 20_000
-    max_transforms: int = 1_000
+    max_poses: int = MAX_POSES
+    max_transforms: int = MAX_TRANSFORMS
     poses: list[Pose] = field(default_factory=list)
     transforms: dict[str, list[StampedTransform]] = field(default_factory=dict)
     horizon_ns: int = 0
@@ -159,7 +164,7 @@ class PoseBuffer:
         if not before:
             return None
         transform = row[before - 1]
-        turn = matrix(transform.rotation)
+        turn = rotation_matrix(transform.rotation)
         moved = rotate(turn, position)
         covariance = None if odometry.covariance is None else turn_covariance(turn, odometry.covariance)
         t = transform.translation

@@ -14,7 +14,8 @@ import zstandard
 
 from roughmap import CELL_DTYPE, STATE_VERSION, RoughMap
 from roughmap.arrays import I8, Records
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.host.disk import make_directory, sync_directory
 
 TILE_BYTES = 64 * 64 * CELL_DTYPE.itemsize
@@ -36,8 +37,10 @@ READ_INDEX = "SELECT tx, ty, oldest_ns, newest_ns, checksum, digest"
 """Selects everything stored of a tile except its records."""
 
 
-class StoreError(Exception):
+class StoreError(ReportedError):
     """A map.db that can't be used; one line with the file, the cause and the remedy."""
+
+    exit_code = 2
 
 
 class DamagedStore(StoreError):
@@ -161,7 +164,9 @@ class Store:
             except ValueError as error:
                 raise self.damaged(str(error)) from None
 
-    def write(self, cut: Cut, frozen: Frozen, after: int | None, progress: Callable[[], None] = lambda: None) -> None:
+    def write(
+        self, cut: Cut, frozen: FrozenMap, after: int | None, progress: Callable[[], None] = lambda: None
+    ) -> None:
         """Commit a cut with the tiles of ``frozen`` that changed after the sequence ``after``.
 
         ``after`` None replaces all stored tiles by those of ``frozen``. ``progress`` is called at each tile. This is
@@ -269,7 +274,7 @@ def _checksum(texts: Mapping[str, str]) -> str:
 
 
 def _rows(
-    frozen: Frozen, after: int | None, pack: zstandard.ZstdCompressor, progress: Callable[[], None]
+    frozen: FrozenMap, after: int | None, pack: zstandard.ZstdCompressor, progress: Callable[[], None]
 ) -> Iterable[tuple[Any, ...]]:
     for (tx, ty), sequence in zip(frozen.tiles.tolist(), frozen.sequences.tolist(), strict=True):
         if after is not None and sequence <= after:

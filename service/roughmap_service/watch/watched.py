@@ -11,7 +11,7 @@ from roughmap_service.answers.queryables import Answers
 from roughmap_service.engine.sequencer import Sequencer
 from roughmap_service.host.counters import Counters
 from roughmap_service.host.log_lines import note
-from roughmap_service.inputs.queue import Intake
+from roughmap_service.inputs.queue import InputQueue
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.snapshots import Snapshots
@@ -26,7 +26,7 @@ class Parts:
 
     sequencer: Sequencer
     writer: LogWriter
-    intake: Intake
+    queue: InputQueue
     snapshots: Snapshots
     memory: MemoryLimit
     counters: Counters
@@ -55,7 +55,7 @@ class Parts:
     def end(self, sources: Sources) -> None:
         """Say that it shuts down, and what it did since its start."""
         sources.readiness.end()
-        counts, sequence = self.counters.snapshot(), self.sequencer.state.map.sequence
+        counts, sequence = self.counters.snapshot(), self.sequencer.live.run.map.sequence
         clouds, points = counts.clouds_accepted, counts.points_accepted
         text = f"shutting down; {clouds} clouds with {points} points were integrated since the start"
         note(
@@ -73,7 +73,7 @@ def show(parts: Parts, answers: Answers, sources: Sources, status: Callable[[], 
 
     def depths() -> Depths:
         return Depths(
-            intake_bytes=parts.intake.held, inbox_bytes=parts.sequencer.inbox.size, log_bytes=parts.writer.held,
+            intake_bytes=parts.queue.held, inbox_bytes=parts.sequencer.live.run.inbox.size, log_bytes=parts.writer.held,
             queries_waiting=answers.waiting, snapshot_sequence=parts.snapshots.sequence,
             snapshot_ok=not parts.snapshots.error, memory_taken=parts.memory.taken,
         )  # fmt: skip
