@@ -80,7 +80,7 @@ def blob(payload: bytes) -> None:
     store = Store(Path("map.db"))
     for digest in (payload[:16], xxhash.xxh3_128_digest(bytes(TILE_BYTES))):
         with contextlib.suppress(StoreError):
-            assert store.unpacked(0, 0, digest, payload[16:]).nbytes == TILE_BYTES
+            assert store.unpack(0, 0, digest, payload[16:]).nbytes == TILE_BYTES
 
 
 def store(payload: bytes) -> None:

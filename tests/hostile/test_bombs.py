@@ -123,7 +123,7 @@ def test_a_reply_to_the_client(packed: dict[str, bytes]) -> None:
 
 def test_a_tile_of_the_store(packed: dict[str, bytes]) -> None:
     with little_memory(), pytest.raises(DamagedStore, match=r"tile \(0, 0\) is damaged"):
-        Store(Path("map.db")).unpacked(0, 0, bytes(16), packed["zstd"])
+        Store(Path("map.db")).unpack(0, 0, bytes(16), packed["zstd"])
 
 
 def test_an_archive_of_points(tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ def test_a_store_without_a_run(store: Store, run: str | None, name: str) -> None
 def test_what_is_no_store_is_not_put_aside(store: Store) -> None:
     store.path.parent.mkdir()
     store.path.write_bytes(b"holiday pictures " * 100)
-    with pytest.raises(StoreError, match=r"no map\.db"):
+    with pytest.raises(StoreError, match=r"not a map\.db"):
         store.set_aside()
     assert store.path.read_bytes().startswith(b"holiday")
 
