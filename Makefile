@@ -6,7 +6,7 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check audit bench bench-peers faults fuzz soak overload schemas lock image container-test clean
+.PHONY: help setup demo test test-random check audit bench bench-peers faults fuzz soak overload schemas lock image container-test clean
 
 help:  ## show this list
 	@echo "make TARGET, where TARGET is:"
@@ -28,6 +28,9 @@ demo: $(READY)  ## run service, rover, planner and replay for about a minute; pi
 
 test: $(READY)  ## run all tests, on two cores
 	$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
+
+test-random: $(READY)  ## run the property tests with random examples, ten times as many as in make test
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m hypothesis --hypothesis-profile=random --timeout=2400 $(ARGS)
 
 check: $(READY)  ## check style, types, import rules and exported schemas
 	$(BIN)/ruff check .

@@ -1,6 +1,9 @@
 """Stands here so that the helpers beside it (`net`) can be imported from every folder of tests."""
 
+import properties
 import pytest
+
+properties.register()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -5,8 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from asking_raw import RawTile, get
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
+from properties import examples
 from served import T0, Served, some_points
 
 Key = tuple[int, int, int]
@@ -43,7 +44,7 @@ edges = st.one_of(
 """Also the borders of tiles, and what lies far beyond any cell."""
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(60, HealthCheck.function_scoped_fixture)
 @given(xs=st.tuples(edges, edges), ys=st.tuples(edges, edges), level=st.sampled_from([0, 0, 1, 3, 7]))
 def test_a_box_means_the_tiles_that_it_meets(
     served: Served, xs: tuple[float, float], ys: tuple[float, float], level: int

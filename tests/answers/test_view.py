@@ -1,7 +1,7 @@
 """Readers and the one writer of a map: who waits for whom."""
 
+import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -94,28 +94,31 @@ def test_what_is_not_drawn_waits_for_the_end_of_the_change(view: View) -> None:
     assert view.standing is None
 
 
-def at_the_door(view: View) -> bool:
-    """Wait for a reader to wait for the map; False if none comes."""
-    tick, until = threading.Event(), time.monotonic() + WAIT_S
-    while not view._turn.locked() and time.monotonic() < until:
-        tick.wait(0.001)
-    return view._turn.locked()
+@pytest.fixture
+def no_switches() -> Iterator[None]:
+    """A thread keeps the interpreter until it blocks: who runs next is then no matter of chance."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(10 * WAIT_S)
+    yield
+    sys.setswitchinterval(before)
 
 
+@pytest.mark.usefixtures("no_switches")
 def test_a_reader_that_waits_comes_before_the_next_change(view: View) -> None:
-    served = threading.Event()
+    """A plain lock would go to the writer again: it never blocks between two changes."""
+    for _ in range(20):
+        comes, was_in = threading.Event(), threading.Event()
 
-    def read() -> None:
-        with view.reading():
-            served.set()
+        def read(comes: threading.Event = comes, was_in: threading.Event = was_in) -> None:
+            comes.set()
+            with view.reading():
+                was_in.set()
 
-    for _ in range(50):
-        served.clear()
         with view.change():
             waiting = Beside(read)
-            assert at_the_door(view)
+            wait_for(comes, "the reader")  # it goes on from there until it waits for the map
         with view.change():
-            assert served.is_set()
+            assert was_in.is_set()
         wait_for(waiting.done, "the reader to end")
 
 

@@ -5,8 +5,9 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from strategies import MODELS, SECOND_NS, START_NS, limits, noises, scans, state_of, trajectories
 
 from roughmap import Limits, Noise, RoughMap, Scan, Trajectory, georeference
@@ -35,7 +36,7 @@ def both_ways(
     return fused, stepped
 
 
-@settings(deadline=None, max_examples=200)
+@examples(200)
 @given(scan=scans(), way=trajectories(), noise=noises, rules=limits, model=st.sampled_from(MODELS))
 def test_any_scan(scan: Scan, way: Trajectory, noise: Noise, rules: Limits, model: str) -> None:
     fused, stepped = both_ways(scan, way, noise, rules, model)

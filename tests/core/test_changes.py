@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from strategies import MODELS, SECOND_NS, cells_of, clouds, seeds, state_of
 
 from roughmap import Noise, RoughMap, Scan, TooManyTiles, Trajectory
@@ -18,7 +19,7 @@ def sequences_of(m: RoughMap, level: int) -> dict[tuple[int, int], int]:
         return {(x, y): n for (x, y), n in zip(frozen.tiles.tolist(), frozen.sequences.tolist(), strict=True)}
 
 
-@settings(deadline=None, max_examples=60)
+@examples(60)
 @given(seed=seeds, model=st.sampled_from(MODELS), levels=st.sampled_from([1, 4, 26]), calls=st.integers(1, 6))
 def test_sequences_are_those_of_the_last_change_in_the_tile_or_around_it(
     seed: int, model: str, levels: int, calls: int
@@ -53,7 +54,7 @@ def test_sequences_are_those_of_the_last_change_in_the_tile_or_around_it(
             assert sequences_of(m, level) == expected[level]
 
 
-@settings(deadline=None, max_examples=60)
+@examples(60)
 @given(cloud=clouds(least=5), model=st.sampled_from(MODELS), level=st.integers(0, 3), cut=st.integers(1, 4))
 def test_a_frozen_map_does_not_change(
     cloud: tuple[np.ndarray, np.ndarray, np.ndarray], model: str, level: int, cut: int

@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from strategies import MODELS, SECOND_NS, START_NS, clouds, random_axes, state_of, turned
 
 from roughmap import Limits, Noise, RoughMap, Scan, Trajectory
 
 
-@settings(deadline=None, max_examples=100)
+@examples(100)
 @given(
     cloud=clouds(most=80),
     model=st.sampled_from(MODELS),

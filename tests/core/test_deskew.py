@@ -4,8 +4,9 @@ from math import cos, pi, sin
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from scipy.spatial.transform import Rotation
 from strategies import SECOND_NS, START_NS
 
@@ -49,7 +50,7 @@ def test_the_rotation_goes_evenly_along_the_shorter_arc(angle: float, sign: floa
     np.testing.assert_allclose(points, expected, rtol=0, atol=5e-15)
 
 
-@settings(deadline=None, max_examples=50)
+@examples(50)
 @given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([1e-9, 1e-3, 0.3, 3.0]))
 def test_slerp_turns_at_a_constant_rate(seed: int, scale: float) -> None:
     """Between two poses the axis of rotation is constant and the angle is proportional to the time."""

@@ -5,8 +5,9 @@ import struct
 import numpy as np
 import pytest
 import xxhash
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from strategies import MODELS, cells_of, clouds
 
 from roughmap import CELL_DTYPE, RoughMap
@@ -36,7 +37,7 @@ def test_the_record() -> None:
     assert [CELL_DTYPE.fields[name][1] for name in FIELDS] == [0, 4, 8, 16, 24, 32, 40, 48, 56]
 
 
-@settings(deadline=None, max_examples=60)
+@examples(60)
 @given(cloud=clouds(), model=st.sampled_from(MODELS), cuts=st.integers(1, 3))
 def test_any_map(cloud: tuple[np.ndarray, np.ndarray, np.ndarray], model: str, cuts: int) -> None:
     """The digest is checked after each call, so that a stale cached digest would show."""

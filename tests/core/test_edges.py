@@ -5,8 +5,9 @@ from math import inf, nextafter
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from strategies import MODELS, WEIGHTED, cell_boxes, cells_of
 
 from roughmap import RoughMap
@@ -79,7 +80,7 @@ def test_bounds_are_half_open(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", WEIGHTED)
-@settings(deadline=None, max_examples=100)
+@examples(100)
 @given(box=cell_boxes(), place=st.tuples(st.floats(-1, 7), st.floats(-1, 7)), turn=st.floats(-0.9, 0.9))
 def test_footprint_cells_outside_are_not_written(
     model: str, box: tuple[int, int, int, int], place: tuple[float, float], turn: float

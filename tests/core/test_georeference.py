@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from scipy.spatial.transform import Rotation, Slerp
 from strategies import START_NS, limits, noises, scans, trajectories, turned
 
@@ -54,7 +55,7 @@ def place(scan: Scan, way: Trajectory, noise: Noise, n: int, gap_s: float) -> tu
     return position + lever, R_ms @ S_sensor @ R_ms.T + J @ S_pose @ J.T + J_m @ S_mount @ J_m.T
 
 
-@settings(deadline=None, max_examples=150)
+@examples(150)
 @given(scan=scans(most=12), way=trajectories(), noise=noises, rules=limits)
 def test_any_scan(scan: Scan, way: Trajectory, noise: Noise, rules: Limits) -> None:
     points, covariance, reason = georeference(scan, way, noise, rules)
@@ -123,7 +124,7 @@ def test_only_the_upper_triangle_of_a_pose_covariance_is_read() -> None:
     np.testing.assert_array_equal(a, b)
 
 
-@settings(deadline=None, max_examples=30)
+@examples(30)
 @given(
     roll=st.floats(-3, 3),
     yaw=st.floats(-3, 3),

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from roughmap import RoughMap
 from roughmap.tiles import table as tiles
@@ -28,7 +29,7 @@ def failing(number: int, true: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-@settings(deadline=None, max_examples=50)
+@examples(50)
 @given(st.lists(st.lists(TILE, max_size=40), max_size=8))
 def test_tiles_are_sorted_for_any_order_of_insertion(rounds: list[list[tuple[int, int]]]) -> None:
     index = LevelIndex()

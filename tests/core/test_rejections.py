@@ -4,8 +4,9 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
+from properties import examples
 from strategies import MODELS, SECOND_NS, START_NS, cells_of, clouds, limits, noises, scans, trajectories, turned
 
 from roughmap import Limits, Noise, PointReason, RoughMap, Scan, Trajectory, georeference
@@ -61,7 +62,7 @@ def test_of_two_the_first_counts(earlier: int) -> None:
         assert rejected_for({ORDER[earlier], later}, "cuboid", moving=True) == {ORDER[earlier]: 1}
 
 
-@settings(deadline=None, max_examples=200)
+@examples(200)
 @example(faults=set(ORDER), model="ellipsoid", moving=True)
 @example(faults=set(), model="ellipsoid", moving=True)
 @given(faults=st.sets(st.sampled_from(ORDER)), model=st.sampled_from(MODELS), moving=st.booleans())
@@ -139,7 +140,7 @@ def test_uncertain_is_measured_horizontally_and_with_coverage() -> None:
 
 
 @pytest.mark.parametrize("model", ["cuboid", "ellipsoid"])
-@settings(deadline=None, max_examples=100)
+@examples(100)
 @given(
     seed=st.integers(0, 2**32 - 1),
     sigma=st.sampled_from([(0.01, 0.02, 0.05), (1e-6, 1e-3, 0.05), (0.0, 0.0, 0.1), (0.0, 0.1, 0.1)]),
@@ -174,7 +175,7 @@ def test_only_the_upper_triangle_is_read(model: str) -> None:
     assert RoughMap(error_model=model, threads=1).add([(0, 0, 0)], broken).rejected == {"covariance": 1}
 
 
-@settings(deadline=None, max_examples=100)
+@examples(100)
 @given(cloud=clouds(), model=st.sampled_from(MODELS), bounded=st.booleans())
 def test_every_point_is_counted_once(
     cloud: tuple[np.ndarray, np.ndarray, np.ndarray], model: str, bounded: bool
@@ -188,7 +189,7 @@ def test_every_point_is_counted_once(
     assert m.sequence == (report.accepted > 0)
 
 
-@settings(deadline=None, max_examples=100)
+@examples(100)
 @given(scan=scans(), way=trajectories(), noise=noises, rules=limits, model=st.sampled_from(MODELS))
 def test_every_return_is_counted_once(scan: Scan, way: Trajectory, noise: Noise, rules: Limits, model: str) -> None:
     m = RoughMap(error_model=model, threads=1)

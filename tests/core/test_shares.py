@@ -5,8 +5,9 @@ from math import floor, pi, sqrt
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
+from properties import examples
 from strategies import CENTRES, WEIGHTED, cells_of, covariances, points, shares_of, turned
 
 from roughmap import RoughMap
@@ -75,7 +76,7 @@ def check_ellipse(where: np.ndarray, S: np.ndarray, a: float) -> int:
     return len(shares)
 
 
-@settings(deadline=None, max_examples=150)
+@examples(150)
 @given(data=st.data(), a=st.sampled_from([0.02, 0.1, 0.25, 1.0]))
 def test_ellipses(data: st.DataObject, a: float) -> None:
     """Round, flat and needle-like ellipses, at the origin and in UTM."""
@@ -84,7 +85,7 @@ def test_ellipses(data: st.DataObject, a: float) -> None:
     check_ellipse(where, S, a)
 
 
-@settings(deadline=None, max_examples=100)
+@examples(100)
 @given(
     dx=st.sampled_from([0.0, 1e-15, 1e-9, 1e-4, -1e-4, 0.00999999, 0.0100001, -0.01]),
     dy=st.sampled_from([0.0, 1e-12, 1e-5, -0.0199999, 0.02]),
@@ -125,7 +126,7 @@ def test_no_spread_at_all_is_a_small_sphere() -> None:
     assert shares == {(0, 0): pytest.approx(0.5, abs=1e-13), (1, 0): pytest.approx(0.5, abs=1e-13)}
 
 
-@settings(deadline=None, max_examples=150)
+@examples(150)
 @example(where=np.array([0.75, -0.25, 0.0]), sigma=(0.125, 0.0625), a=0.25)
 @given(
     where=points(1).map(lambda p: p[0]), sigma=st.tuples(*[st.floats(1e-4, 0.2)] * 2), a=st.sampled_from([0.1, 0.25])
@@ -153,7 +154,7 @@ def test_cuboids(where: np.ndarray, sigma: tuple[float, float], a: float) -> Non
 
 
 @pytest.mark.parametrize("model", WEIGHTED)
-@settings(deadline=None, max_examples=60)
+@examples(60)
 @given(
     data=st.data(),
     min_share=st.sampled_from([0.02, 0.05, 0.3, 1.0]),

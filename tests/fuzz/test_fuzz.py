@@ -6,8 +6,9 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from mutations import mutated
+from properties import examples
 from targets import TARGETS, corpus_of
 
 EXAMPLES = 60
@@ -32,9 +33,10 @@ def test_the_corpus(target: str) -> None:
         assert peak < MOST_BYTES, f"{path.name}: {peak} bytes"
 
 
+@pytest.mark.hypothesis
 @pytest.mark.parametrize("target", TARGETS)
 def test_changed_inputs(target: str) -> None:
-    @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+    @examples(EXAMPLES, *HealthCheck)
     @given(mutated(target))
     def some(payload: bytes) -> None:
         TARGETS[target](payload)

@@ -21,7 +21,7 @@ from roughmap_service.host.log_lines import (
     note,
     set_up,
 )
-from roughmap_service.inputs import queue as intake
+from roughmap_service.inputs import subscriptions
 from roughmap_service.inputs.admission import refuse
 from roughmap_service.watch.status import Overload
 
@@ -87,7 +87,7 @@ def test_each_robot_s_first_refusal_of_a_kind_is_told_and_a_flood_of_names_is_no
     logger: logging.Logger, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stream, _ = lines_to(logger, JsonFormatter())
-    monkeypatch.setattr(intake, "log", logger)
+    monkeypatch.setattr(subscriptions, "logger", logger)
     counters = Counters()
     for _ in range(REPEATS + 1):
         refuse(counters, "r1", MessageFault("unknown_sensor", "frame 'sonar'"))

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
+from properties import examples
 from read_tools import over_cells
 
 from roughmap.map import RoughMap
@@ -65,7 +66,7 @@ def clouds(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("model", ERROR_MODELS)
-@settings(deadline=None, max_examples=60)
+@examples(60)
 @given(
     cloud=clouds(),
     cell_size=st.sampled_from([0.1, 0.25, 1.0]),

@@ -12,17 +12,16 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
-from hypothesis import settings
 from hypothesis import strategies as st
+from properties import examples
 
 from roughmap_schemas import MessageFault, decode_cloud, decode_grid, decode_odometry, decode_transform
 
 MIB = 1 << 20
 STAMP = 1_600_000_000_123_456_789
 
-few = settings(max_examples=60, deadline=None)
-"""For properties of cheap code; no deadline, since a loaded machine is no fault of the code."""
-many = settings(max_examples=250, deadline=None)
+few = examples(60)
+many = examples(250)
 
 stamps = st.integers(0, 2**32 * 10**9 - 1)
 finite = st.floats(allow_nan=False, allow_infinity=False)

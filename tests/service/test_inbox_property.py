@@ -3,8 +3,9 @@
 from collections import defaultdict
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from service_tools import LEVEL, PRECISE, T0, config
 
 from roughmap_schemas import Cloud, CloudReason, Odometry
@@ -30,7 +31,7 @@ steps = st.one_of(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(st.lists(steps, max_size=60))
 def test_one_decision_a_cloud_in_order(row: list[tuple]) -> None:
     poses = {robot: PoseBuffer("map", SETTINGS.history_ns, 1.0, 1.0) for robot in ROBOTS}

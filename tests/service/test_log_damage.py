@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
+from properties import examples
 from service_tools import LoggedRun, read_back
 
 from roughmap_service.journal.reader import LogError, TornLog, read_file, read_metadata
@@ -36,7 +37,7 @@ def read(path: Path) -> tuple[list[LogItem], LogError | None]:
     return items, None
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(100, HealthCheck.function_scoped_fixture)
 @given(place=st.floats(0, 1), length=st.integers(1, 3000), seed=st.integers(0, 2**32 - 1), keep=st.booleans())
 def test_noise_is_told(closed: Path, tmp_path: Path, place: float, length: int, seed: int, keep: bool) -> None:
     """In the midst of a file, or instead of its end: whatever lengths it claims, nothing large is allocated."""

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
+from properties import examples
 from service_tools import T0, WAIT_S, inputs_of, metadata, odometry, read_back, starts_of
 
 from roughmap_schemas.kinds import Kind
@@ -106,7 +107,7 @@ def noticed() -> Iterator[Noticed]:
 operations = st.tuples(st.sampled_from(["open", "write", "fsync"]), st.integers(1, 25))
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(25, HealthCheck.function_scoped_fixture)
 @given(faults=st.sets(operations, max_size=8), syncs=st.sets(st.integers(1, 30)), rotations=st.sets(st.integers(1, 30)))
 def test_nothing_is_lost_or_doubled_wherever_it_fails(
     tmp_path_factory: pytest.TempPathFactory, faults: set[tuple[str, int]], syncs: set[int], rotations: set[int]

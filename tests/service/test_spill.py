@@ -7,8 +7,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 from spill_tools import FAR, S, filled, ground, leave, leave_all, tiles_of
 
 from roughmap import RoughMap
@@ -39,7 +40,7 @@ steps = st.lists(
 )
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(steps)
 def test_whatever_is_done_a_map_that_spills_is_the_map_that_does_not(todo: list[tuple[str, int, float]]) -> None:
     """Points, readings (some held over what follows), tiles that leave, and resets, in any order."""
