@@ -17,9 +17,9 @@ from roughmap_schemas.config_load import LoadedConfig
 from roughmap_schemas.encodings import json_encoding
 from roughmap_schemas.kinds import Kind
 from roughmap_schemas.messages import LogState
-from roughmap_service.answers.emptied import Emptied
 from roughmap_service.answers.queryables import Answers
-from roughmap_service.answers.tile_reply import Identity
+from roughmap_service.answers.reset_history import ResetHistory
+from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.answers.updates import Updates
 from roughmap_service.engine.control import Control
 from roughmap_service.engine.recovery import Progress as RecoveryProgress
@@ -142,9 +142,9 @@ def _run(
     config = loaded.config
     state, run = recovered.state, recovered.run or uuid.uuid4().hex
     state.epoch = recovered.epoch
-    identity = Identity(config.map.name, run, instance, configuration_digest(config), config.map.frame_id)
+    served = ServedMap(config.map.name, run, instance, configuration_digest(config), config.map.frame_id)
     counters = Counters(config.input.max_wait)
-    view, emptied = View(state.map, recovered.epoch), Emptied(config.map.max_tiles)
+    view, resets = View(state.map, recovered.epoch), ResetHistory(config.map.max_tiles)
     ending, whole, ended = Ending(config.service.shutdown_timeout), True, True
     with ExitStack() as stack:
         replies = Replies()
@@ -178,7 +178,7 @@ def _run(
         sequencer = Sequencer(
             state, view, writer, intake, counters, memory, recovered.duplicates, keys,
             Intervals(config.log.checkpoint_interval, config.store.snapshot_interval),
-            publish_event=publish, take_snapshot=cut, before_reset=emptied.note,
+            publish_event=publish, take_snapshot=cut, before_reset=resets.note,
         )  # fmt: skip
         control = Control(sequencer, snapshots, cut, config.service.control_timeout)
 
@@ -194,7 +194,7 @@ def _run(
                 log=LogState(file=str(writer.path), bytes=writer.size, ok=writer.ok),
             )
 
-        status = Status(view, counters, config, identity, VERSION, progress)
+        status = Status(view, counters, config, served, VERSION, progress)
         record = _Outputs(writer, keys, counters, queries=config.log.queries)
         sequencer.start(recovered.undecided)
 
@@ -205,12 +205,12 @@ def _run(
 
         answers = stack.enter_context(
             Answers(
-                session, view, keys, config, identity, status=status,
+                session, view, keys, config, served, status=status,
                 control={"snapshot": control.snapshot, "reset": control.reset}, record_query=record.query,
-                emptied=emptied,
+                resets=resets,
             )
         )  # fmt: skip
-        stack.enter_context(Updates(session, view, keys, config, identity, record.update, emptied))
+        stack.enter_context(Updates(session, view, keys, config, served, record.update, resets))
         stack.enter_context(StatusPublisher(session, keys, status))
         stack.callback(intake.close)  # after the subscribers are gone; refuses what still comes
         stack.enter_context(ZenohInputs(session, keys, intake, replies, config.input.max_message, counters))

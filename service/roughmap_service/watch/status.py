@@ -26,7 +26,7 @@ from roughmap_schemas.messages import (
     model_bytes,
 )
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
-from roughmap_service.answers.tile_reply import Identity
+from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.host.counters import Counters
 from roughmap_service.host.log_lines import note
 from roughmap_service.run.view import View
@@ -59,14 +59,14 @@ class Status:
         view: View,
         counters: Counters,
         config: Config,
-        identity: Identity,
+        served: ServedMap,
         version: str,
         progress: Callable[[], Progress],
     ) -> None:
         self._view = view
         self._counters = counters
         self._map = config.map
-        self._identity = identity
+        self._served = served
         self._version = version
         self._progress = progress
         self._started = time.monotonic()
@@ -80,9 +80,9 @@ class Status:
         counts = self._counters.snapshot()
         lag, (clouds, points, poses) = self._counters.lag(), self._counters.rates()
         return MapStatus(
-            map=self._identity.map,
-            run=self._identity.run,
-            instance=self._identity.instance,
+            map=self._served.map,
+            run=self._served.run,
+            instance=self._served.instance,
             epoch=epoch,
             version=self._version,
             frame_id=self._map.frame_id,
@@ -92,7 +92,7 @@ class Status:
             bounds=self._map.bounds,
             extent=extent,
             error_model=self._map.error_model,
-            configuration_digest=self._identity.configuration_digest,
+            configuration_digest=self._served.configuration_digest,
             health=health_of(progress.problems),
             sequence=sequence,
             durable_sequence=progress.durable_sequence,
