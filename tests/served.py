@@ -20,7 +20,7 @@ from roughmap_service.answers.reset_history import ResetHistory
 from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.host.counters import Counters
 from roughmap_service.run.view import View
-from roughmap_service.watch.status import Progress, Status
+from roughmap_service.watch.status import RunProgress, Status
 
 T0 = 1_700_000_000 * 10**9
 INSTANCE = "0123456789abcdef" * 2
@@ -68,7 +68,7 @@ class Served:
         self.keys = Keys(self.config.map.name, self.config.keys)
         self.resets = ResetHistory(self.config.map.max_tiles)
         self.counters = Counters()
-        self.progress = Progress()
+        self.progress = RunProgress()
         self.digest = configuration_digest(self.config)
         self.served_map = ServedMap(self.config.map.name, RUN, self.instance, self.digest, self.config.map.frame_id)
         self.records: list[QueryRecord] = []

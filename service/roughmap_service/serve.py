@@ -49,9 +49,9 @@ from roughmap_service.store.map_db import Store
 from roughmap_service.store.memory_limit import Memory, keep_freed
 from roughmap_service.store.snapshots import Snapshots, cut_of
 from roughmap_service.store.spill import Spill
+from roughmap_service.watch.parts import RunningParts, connect_pages
 from roughmap_service.watch.readiness import Readiness, Sources
-from roughmap_service.watch.status import Progress, Status, StatusPublisher
-from roughmap_service.watch.watched import Parts, show
+from roughmap_service.watch.status import RunProgress, Status, StatusPublisher
 
 log = logging.getLogger(__name__)
 
@@ -182,10 +182,10 @@ def _run(
         )  # fmt: skip
         control = Control(sequencer, snapshots, cut, config.service.control_timeout)
 
-        parts = Parts(sequencer, writer, intake, snapshots, memory, counters)
+        parts = RunningParts(sequencer, writer, intake, snapshots, memory, counters)
 
-        def progress() -> Progress:
-            return Progress(
+        def progress() -> RunProgress:
+            return RunProgress(
                 durable_sequence=writer.durable_sequence,
                 input=state.input,
                 newest_stamp_ns=sequencer.decider.newest_stamp_ns,
@@ -214,7 +214,7 @@ def _run(
         stack.enter_context(StatusPublisher(session, keys, status))
         stack.callback(intake.close)  # after the subscribers are gone; refuses what still comes
         stack.enter_context(ZenohInputs(session, keys, intake, replies, config.input.max_message, counters))
-        show(parts, answers, sources, status, config)
+        connect_pages(parts, answers, sources, status, config)
         stack.callback(parts.end, sources)
         announce(
             {

@@ -21,7 +21,7 @@ from roughmap_service.host.log_lines import (
     note,
     set_up,
 )
-from roughmap_service.inputs import queue as intake
+from roughmap_service.inputs import subscriptions
 from roughmap_service.inputs.subscriptions import refuse
 from roughmap_service.watch.status import Overload
 
@@ -84,10 +84,11 @@ def test_repeats_are_counted_and_told_with_the_next_line(logger: logging.Logger)
 
 
 def test_each_robot_s_first_refusal_of_a_kind_is_told_and_a_flood_of_names_is_not(
-    logger: logging.Logger, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    logger = logging.getLogger(subscriptions.__name__)
+    monkeypatch.setattr(logger, "handlers", [])
     stream, _ = lines_to(logger, JsonFormatter())
-    monkeypatch.setattr(intake, "log", logger)
     counters = Counters()
     for _ in range(REPEATS + 1):
         refuse(counters, "r1", MessageFault("unknown_sensor", "frame 'sonar'"))

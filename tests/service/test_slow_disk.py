@@ -32,7 +32,7 @@ from roughmap_service.offline.replay import replay
 from roughmap_service.store.map_db import Store
 from roughmap_service.store.memory_limit import Memory
 from roughmap_service.store.spill import Spill
-from roughmap_service.watch.status import Progress, Status
+from roughmap_service.watch.status import RunProgress, Status
 
 NEAR, FAR, FARTHER, FARTHEST = 0, 10, 20, 30
 """Tiles, each alone: the first is in memory, the others are not."""
@@ -83,7 +83,7 @@ class Service:
         self._intake, counters = Intake(1 << 20, Counters()), Counters()
         served = ServedMap("site", run.run, "0" * 32, "0" * 32, "map")
         self._queries = TileQueries(MapReader(run.view, run.keys, run.config, served, ResetHistory(1000)))
-        self.status = Status(run.view, counters, run.config, served, "1", Progress)
+        self.status = Status(run.view, counters, run.config, served, "1", RunProgress)
         self._taken = 0
         self._memory = Memory(1 << 20, spill, measure=lambda: self._taken)
         self._sequencer = Sequencer(
