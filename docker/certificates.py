@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Certificates for trying out access control: an authority, a router, a service, and one for each role and robot.
+"""Make certificates to try out access control: an authority, a router, a service, and one for each role and robot.
 
     python docker/certificates.py certificates --host map.example.org --robot rover1 --robot rover2
 
-writes PEM files into the folder `certificates`; run again, it adds what is missing. The common name (CN) of a
-certificate is its file's name, and what the rules in docker/access/router.json5 go by. Keys are unencrypted and
-readable by you alone. Whoever has authority.key can become anyone: keep it off the robots. A fleet that has an
-authority of its own uses that one instead.
+writes PEM files into the folder `certificates`. Run again, it adds the missing ones. The rules in
+docker/access/router.json5 use the common name (CN) of a certificate, which is its file name. Keys are unencrypted and
+readable by you only. The holder of authority.key can pose as anyone: keep it off the robots. If your fleet has an
+authority of its own, use that one instead.
 """
 
 import argparse
@@ -39,21 +39,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=first, epilog=rest, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("folder", type=Path, help="where to; made if it isn't there")
+    parser.add_argument("folder", type=Path, help="output folder; created if missing")
     parser.add_argument("--host", action="append", default=[], help="name or IP of router and service; repeatable")
-    parser.add_argument("--robot", action="append", default=[], help="a robot's name; repeatable")
-    parser.add_argument("--days", type=int, default=365, help="how long they are valid (default: %(default)s)")
-    parser.add_argument("--expired", action="store_true", help="for tests: valid until an hour ago")
+    parser.add_argument("--robot", action="append", default=[], help="name of a robot; repeatable")
+    parser.add_argument("--days", type=int, default=365, help="days of validity (default: %(default)s)")
+    parser.add_argument("--expired", action="store_true", help="for tests: make certificates that expired an hour ago")
     chosen = parser.parse_args()
     for robot in chosen.robot:
         if not NAME.fullmatch(robot) or robot in (AUTHORITY, *SERVERS, *ROLES):
-            parser.error(f"--robot {robot!r}: expected {NAME.pattern}, and none of the roles' names")
+            parser.error(f"--robot {robot!r}: expected {NAME.pattern}, and not the name of a role")
     made = make(chosen.folder, chosen.host, chosen.robot, chosen.days, expired=chosen.expired)
-    print(f"{chosen.folder}: made {', '.join(made) or 'nothing, all are there'}")
+    print(f"{chosen.folder}: made {', '.join(made) or 'nothing, all exist'}")
 
 
 def make(folder: Path, hosts: list[str], robots: list[str], days: float = 365, *, expired: bool = False) -> list[str]:
-    """Make what is missing in ``folder``; the names of what was made."""
+    """Make the missing certificates in ``folder``; returns their names."""
     now = dt.datetime.now(dt.UTC)
     end = now - DAY / 24 if expired else now + days * DAY
     folder.mkdir(parents=True, exist_ok=True)
@@ -64,20 +64,20 @@ def make(folder: Path, hosts: list[str], robots: list[str], days: float = 365, *
             (x509.BasicConstraints(ca=True, path_length=0), True),
             (_usage(signs_certificates=True), True),
         ]
-        # A day old, since clocks of robots are late; and valid beyond what it signs, expired or not.
+        # Valid from two days ago, because robots' clocks may be late, and longer than any certificate that it signs.
         authority = _signed(key, AUTHORITY, _name(AUTHORITY), key, now - 2 * DAY, now + 3650 * DAY, extensions)
         _write(folder, AUTHORITY, key, authority)
         made.append(AUTHORITY)
     signing = serialization.load_pem_private_key((folder / f"{AUTHORITY}.key").read_bytes(), None)
     if not isinstance(signing, ec.EllipticCurvePrivateKey):
-        sys.exit(f"{folder / AUTHORITY}.key: expected a key of elliptic curves, as this program makes it")
+        sys.exit(f"{folder / AUTHORITY}.key: expected an elliptic-curve key, as this program makes")
     issuer = x509.load_pem_x509_certificate((folder / f"{AUTHORITY}.pem").read_bytes()).subject
     for name in (*SERVERS, *ROLES, *robots):
         if (folder / f"{name}.pem").exists():
             continue
         purposes = [ExtendedKeyUsageOID.CLIENT_AUTH]
         extensions = [(x509.BasicConstraints(ca=False, path_length=None), True), (_usage(), True)]
-        if name in SERVERS:  # only these may be connected to, so that no robot can pose as the router
+        if name in SERVERS:  # only these can act as servers, so that no robot can pose as the router
             purposes.append(ExtendedKeyUsageOID.SERVER_AUTH)
             extensions.append((x509.SubjectAlternativeName([_host(host) for host in (*LOOPBACK, *hosts)]), False))
         extensions.append((x509.ExtendedKeyUsage(purposes), False))
@@ -132,12 +132,12 @@ def _usage(*, signs_certificates: bool = False) -> x509.KeyUsage:
 
 
 def _write(folder: Path, name: str, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
-    """The key first, for its owner alone; where the certificate is, all is there."""
+    """Write the key, readable by its owner only, then the certificate: if that exists, both do."""
     private = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     path = folder / f"{name}.key"
-    path.unlink(missing_ok=True)  # left by a run that was ended in between
+    path.unlink(missing_ok=True)  # left by an interrupted run
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
         stream.write(private)
     (folder / f"{name}.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))

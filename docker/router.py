@@ -1,4 +1,4 @@
-"""A Zenoh router where the image of the official one can't be had: python router.py router.json5."""
+"""Run a Zenoh router, where the official image is not available: python router.py router.json5."""
 
 import signal
 import sys

@@ -1,7 +1,7 @@
-"""Cut symbol tables and debug information off the end of shared libraries, as `strip` would, which a base image lacks.
+"""Cut symbol tables and debug information off the end of shared libraries, like `strip`, which a base image may lack.
 
-python trim.py FOLDER. What is loaded of an ELF file is in its segments; sections behind the last one serve linkers and
-debuggers alone. Nothing is moved, so the rest stays as its makers tested it.
+Usage: python trim.py FOLDER. Only the segments of an ELF file are loaded; sections behind the last segment are for
+linkers and debuggers. Nothing is moved, so the loaded code stays as it was built.
 """
 
 import struct
@@ -21,7 +21,7 @@ for path in Path(sys.argv[1]).rglob("*.so*"):
     for header in range(segments, end, size):
         offset, length = struct.unpack_from("<Q", data, header + 8)[0], struct.unpack_from("<Q", data, header + 32)[0]
         end = max(end, offset + length)
-    struct.pack_into("<Q", data, 40, 0)  # no table of sections
+    struct.pack_into("<Q", data, 40, 0)  # no section table
     struct.pack_into("<HHH", data, 58, 0, 0, 0)
     saved += len(data) - end
     path.write_bytes(data[:end])

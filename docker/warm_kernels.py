@@ -1,6 +1,6 @@
-"""Compile all kernels beside their sources, when the image is built: there is no compiler's time at its first start.
+"""Compile all kernels next to their sources when the image is built, so that its first start does not.
 
-It imports every module too, which fails the build where the image lacks a part that they need.
+Also imports every module, so that the build fails if the image lacks a part that they need.
 """
 
 import importlib
@@ -17,17 +17,9 @@ import roughmap_service
 from roughmap_schemas import Config
 from roughmap_service.engine.warmup import warm_up
 
-OPTIONAL = {"matplotlib", "laspy", "rosbags", "rasterio"}
-"""Of extras that the image leaves out."""
-
 for package in (roughmap, roughmap_schemas, roughmap_client, roughmap_service):
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-        try:
-            importlib.import_module(module.name)
-        except ImportError as error:
-            missing = error.__cause__ if isinstance(error.__cause__, ImportError) else error
-            if (missing.name or "").partition(".")[0] not in OPTIONAL:
-                raise
+        importlib.import_module(module.name)
 
 for model in ("point", "cuboid", "ellipsoid"):
     config = {"map": {"error_model": model}, "sensors": {"lidar": {"range_sigma": 0.02}}}

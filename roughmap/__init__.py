@@ -1,11 +1,11 @@
 """roughmap: a 2.5D map of rough ground with its uncertainty, built point by point.
 
-Arrays in, arrays out; no I/O, no network. `RoughMap` is the map; `Scan`, `Trajectory`, `Noise` and `Limits` say how
-points come into it; `georeference` places them without a map.
+Arrays in, arrays out; no I/O, no network. `RoughMap` is the map. `Scan`, `Trajectory`, `Noise` and `Limits` describe
+the points that go into it; `georeference` places points without a map.
 """
 
 from roughmap.cell import CELL_DTYPE, STATE_VERSION, TILE_CELLS, PointReason, TooManyTiles
-from roughmap.integration.integrate import AddReport
+from roughmap.integration.phases import AddReport, Prepared
 from roughmap.map import RoughMap
 from roughmap.points.georeference import georeference
 from roughmap.points.scan import Limits, Noise, Scan
@@ -20,6 +20,7 @@ __all__ = [
     "Limits",
     "Noise",
     "PointReason",
+    "Prepared",
     "Region",
     "RoughMap",
     "Scan",

@@ -1,4 +1,4 @@
-"""Short names for the types of arrays."""
+"""Short names for array types."""
 
 from typing import Any
 
@@ -16,4 +16,4 @@ Records = npt.NDArray[np.void]
 """Arrays of CELL_DTYPE."""
 
 Scalar = Any
-"""A number inside a kernel; numba infers which."""
+"""A number, tuple or array inside a kernel; numba infers its type."""

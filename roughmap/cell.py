@@ -1,4 +1,4 @@
-"""What a cell remembers, and the names and numbers that all of the map agrees on."""
+"""The state of a cell, and the constants shared by the whole map."""
 
 from enum import IntEnum
 
@@ -8,10 +8,10 @@ TILE_SHIFT = 6
 """Tile of a cell: ``(i >> TILE_SHIFT, j >> TILE_SHIFT)``."""
 
 TILE_CELLS = 1 << TILE_SHIFT
-"""Cells along a tile's side."""
+"""Cells along the side of a tile."""
 
 STATE_VERSION = 1
-"""Rises when stored cells would mean something else; a store of another version is rebuilt, never converted."""
+"""Raised when the meaning of stored cells changes. A store of another version is rebuilt, never converted."""
 
 CELL_DTYPE = np.dtype(
     [
@@ -26,22 +26,22 @@ CELL_DTYPE = np.dtype(
         ("inv_cf", "<f8"),
     ]
 )
-"""State of a cell: one cache line of 64 bytes. A cell never hit is 64 zero bytes, and ``count`` 0 says so.
+"""State of a cell: one cache line of 64 bytes. An unknown cell is 64 zero bytes; ``count`` is 0 only there.
 
-``count``: points that touched it. ``updated``: largest ``floor(stamp / 1e9)`` of them. ``weight``: W = sum of w.
-``weight_sq``: W2 = sum of w^2 / p. ``mean``: weighted mean height, metres. ``m2``: sum of w (h - mean)^2.
-``min``, ``max``: heights. ``inv_cf``: sum of w / d^2 (eq. 16).
+``count``: number of points in the cell. ``updated``: their largest ``floor(stamp / 1e9)``. ``weight``: W = sum of w.
+``weight_sq``: W2 = sum of w^2 / p. ``mean``: weighted mean height, metres. ``m2``: sum of w (h - mean)^2. ``min``,
+``max``: heights, metres. ``inv_cf``: sum of w / d^2 (eq. 16).
 """
 
 STAMP_LIMIT_NS = (1 << 32) * 1_000_000_000
 """Stamps lie in [0, 2^32 s): whole seconds fit the cell's ``updated``."""
 
 OFFSET_LIMIT_NS = 1_000_000_000
-"""A point's own time lies at most this far after its scan's stamp."""
+"""The time of a point is at most this long after the stamp of its scan."""
 
 
 class PointReason(IntEnum):
-    """Why a point was not used; the first that holds, in this order."""
+    """Why a point was not used. The first reason that applies, in this order, is reported."""
 
     KEPT = 0
     NOT_FINITE = 1
@@ -57,16 +57,16 @@ class PointReason(IntEnum):
 
 
 REASON_NAMES = ("", *(reason.name.lower() for reason in PointReason if reason))
-"""The names under which rejected points are counted; index = ``PointReason``."""
+"""Names under which rejected points are counted; the index is the ``PointReason``."""
 
 
 class TooManyTiles(Exception):
-    """A call needs more new tiles than it may make; no cell was written.
+    """A call would create more tiles than allowed; no cell was written.
 
-    ``new``: tiles it needs that are not there yet. ``limit``: how many it may make.
+    ``new``: new tiles that the call needs. ``limit``: new tiles that it may create.
     """
 
     def __init__(self, new: int, limit: int) -> None:
-        super().__init__(f"{new} new tiles are needed, {limit} are allowed")
+        super().__init__(f"{new} new tiles needed, {limit} allowed")
         self.new = new
         self.limit = limit

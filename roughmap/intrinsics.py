@@ -1,4 +1,4 @@
-"""LLVM instructions that numba has no name for: addresses as pointers, and a prefetch."""
+"""LLVM instructions that numba does not expose: pointers from addresses, and prefetch."""
 
 from typing import Any
 
@@ -7,8 +7,8 @@ from numba import types
 from numba.extending import intrinsic
 
 
-def _as_pointer(typingctx: Any, address: Any, like: Any) -> Any:  # noqa: ARG001 - numba's calling form
-    """An address as a pointer to values of the type of ``like``."""
+def _as_pointer(typingctx: Any, address: Any, like: Any) -> Any:  # noqa: ARG001 - numba's calling convention
+    """Convert an address to a pointer to values of the type of ``like``."""
     signature = types.CPointer(like)(types.uint64, like)  # type: ignore[no-untyped-call]
 
     def codegen(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
@@ -20,19 +20,20 @@ def _as_pointer(typingctx: Any, address: Any, like: Any) -> Any:  # noqa: ARG001
 pointer: Any = intrinsic(_as_pointer)
 
 
-def _fetch(typingctx: Any, address: Any) -> Any:  # noqa: ARG001 - numba's calling form
-    """Ask for the cache line at an address, to be written soon; changes nothing."""
+def _prefetch(typingctx: Any, address: Any) -> Any:  # noqa: ARG001 - numba's calling convention
+    """Prefetch the cache line at an address for writing; has no other effect."""
 
     def codegen(context: Any, builder: ir.IRBuilder, _: Any, args: Any) -> Any:
         number = ir.IntType(32)
         pointer = ir.IntType(8).as_pointer()
         form = ir.FunctionType(ir.VoidType(), [pointer, number, number, number])
-        ask = builder.module.globals.get("llvm.prefetch.p0") or ir.Function(builder.module, form, "llvm.prefetch.p0")
-        to_write, keep, data = number(1), number(3), number(1)
-        builder.call(ask, [builder.inttoptr(args[0], pointer), to_write, keep, data])
+        name = "llvm.prefetch.p0"
+        function = builder.module.globals.get(name) or ir.Function(builder.module, form, name)
+        for_writing, all_levels, data_cache = number(1), number(3), number(1)
+        builder.call(function, [builder.inttoptr(args[0], pointer), for_writing, all_levels, data_cache])
         return context.get_dummy_value()
 
     return types.void(types.uint64), codegen
 
 
-prefetch: Any = intrinsic(_fetch)
+prefetch: Any = intrinsic(_prefetch)

@@ -1,4 +1,4 @@
-"""The one way in which kernels are compiled."""
+"""Compilation of kernels with numba, and the cache of compiled kernels."""
 
 import hashlib
 import inspect
@@ -16,7 +16,7 @@ F = TypeVar("F", bound=Callable[..., object])
 
 @cache
 def _stamp(folder: Path) -> str:
-    """A digest of the sources in a folder and of this package's, of which kernels there may be made."""
+    """Return a digest of the sources that kernels in ``folder`` may be compiled from: that folder and this package."""
     package = Path(__file__).resolve().parent
     digest = hashlib.sha256()
     for path in sorted({*folder.glob("*.py"), *package.rglob("*.py")}):
@@ -26,21 +26,21 @@ def _stamp(folder: Path) -> str:
 
 
 class _BesideTheSource(InTreeCacheLocator):
-    """The folder beside the sources, writable or not: the last resort."""
+    """The folder beside the sources, even if it is not writable: the last resort."""
 
     def ensure_cache_path(self) -> None:
-        """Take it as it is."""
+        """Accept the folder as it is."""
 
 
 class _Locating(CompileResultCacheImpl):
-    _locator_classes = [*CompileResultCacheImpl._locator_classes, _BesideTheSource]  # noqa: RUF012 - numba's own form
+    _locator_classes = [*CompileResultCacheImpl._locator_classes, _BesideTheSource]  # noqa: RUF012 - as numba declares it
 
 
 class _KernelFiles(IndexDataCacheFile):
-    """Compiled kernels of one function: those beside the source, then those in the folder that can be written.
+    """Compiled kernels of one function: first those beside the source, then those in the writable cache folder.
 
-    An image brings its kernels beside the sources, where its user can't write. On another CPU than they were made for,
-    others are compiled, and kept in NUMBA_CACHE_DIR if there is one; else they last as long as the process.
+    A container image ships kernels beside the sources, where its user cannot write. On a CPU other than the one they
+    were compiled for, new kernels are compiled and kept in NUMBA_CACHE_DIR if it is set, else only in the process.
     """
 
     def __init__(self, folder: str, beside: str, name: str, stamp: str) -> None:
@@ -48,20 +48,20 @@ class _KernelFiles(IndexDataCacheFile):
         self._shipped = IndexDataCacheFile(cache_path=beside, filename_base=name, source_stamp=stamp)  # type: ignore[no-untyped-call]
 
     def load(self, key: object) -> Any:
-        """The kernel's data, or None."""
+        """Return the kernel's data, or None."""
         return self._shipped.load(key) or super().load(key)  # type: ignore[no-untyped-call]
 
     def save(self, key: object, data: object) -> None:
-        """Keep a kernel where that is possible; it works without, too."""
+        """Save a kernel if the folder is writable; a failure only costs time at the next start."""
         with suppress(OSError):
             super().save(key, data)  # type: ignore[no-untyped-call]
 
 
 class _PackageCache(FunctionCache):
-    """Compiled kernels on disk, good while no source has changed of which they may be made.
+    """Compiled kernels on disk, valid until any source changes from which they may be compiled.
 
-    numba looks at the file of the kernel alone, but helpers from other files are compiled into it: after an upgrade
-    that changed only such a file, the old kernels would go on beside the new ones.
+    numba checks only the file of the kernel itself, but helpers from other files are compiled into the kernel: after an
+    upgrade that changed only such a file, numba would go on using the old kernel.
     """
 
     _impl_class = _Locating
@@ -79,21 +79,21 @@ class _PackageCache(FunctionCache):
 
 def _compile(function: F, **options: Any) -> F:
     compiled = numba.njit(nogil=True, error_model="numpy", **options)(function)
-    if hasattr(compiled, "enable_caching"):  # not with NUMBA_DISABLE_JIT: then it is the plain function
+    if hasattr(compiled, "enable_caching"):  # false with NUMBA_DISABLE_JIT, which returns the plain function
         compiled._cache = _PackageCache(function)
     result: F = compiled
     return result
 
 
 def kernel(function: F) -> F:
-    """Compile ``function`` with numba.
+    """Compile ``function`` with numba: without the GIL, cached on disk, and with IEEE division.
 
-    Without the GIL, cached on disk, and with IEEE division: a Python zero-division check in a loop keeps it from
-    being vectorised. ``fastmath`` stays off, so that the same source gives the same bits on every machine.
+    Python's check for a zero divisor would keep loops from vectorising. ``fastmath`` stays off, so that the same source
+    gives the same bits on every machine.
     """
     return _compile(function)
 
 
 def inline(function: F) -> F:
-    """The same for small helpers that are always inlined into a kernel by LLVM."""
+    """Compile a small helper that LLVM always inlines into the calling kernel."""
     return _compile(function, inline="never", forceinline=True)

@@ -1,4 +1,4 @@
-"""What a map is built with, checked."""
+"""The settings of a map, checked."""
 
 import math
 from collections.abc import Sequence
@@ -8,24 +8,24 @@ from typing import Any
 from roughmap.points.footprint import ERROR_MODELS
 
 _MAX_SIDE = 512
-"""Most cells across an error body; beyond it one point would cost as much as a scan."""
+"""Largest extent of an error body, in cells. Beyond it one point would cost as much as a scan."""
 
 _SLACK = 1e-6
-"""In cells; keeps a bound at 0.3 / 0.1 whole, as in `region`."""
+"""In cells; keeps a bound such as 0.3 / 0.1 = 2.9999999999999996 on its cell border, as in `region`."""
 
 _INT_MIN, _INT_MAX = -(1 << 31), (1 << 31) - 1
 
 MAX_LEVELS = 26
-"""At level 25 the 2^26 tiles along an axis have become two."""
+"""At level 25 the 2^26 tiles along an axis are reduced to two."""
 
 
 Rules = tuple[int, float, tuple[float, ...], tuple[int, ...], tuple[float, ...], float]
-"""What the kernels take of the settings: model, cell_size, area, window, error, min_share."""
+"""The settings as the kernels take them: model, cell_size, area, window, error, min_share."""
 
 
 @dataclass(frozen=True)
-class Settings:
-    """The settings of a map that decide its cells; ValueError, naming the setting, for values that cannot be."""
+class MapSettings:
+    """The settings of a map that decide its cells. ValueError, naming the setting, for values out of range."""
 
     cell_size: float
     error_model: str
@@ -40,7 +40,7 @@ class Settings:
     def __post_init__(self) -> None:
         for name in ("cell_size", "coverage", "min_radius", "min_distance", "max_horizontal_radius"):
             value = getattr(self, name)
-            # Squares and cubes of these must be float64 numbers, far from their ends.
+            # Squares and cubes of these must stay well within the range of float64.
             if not _is_number(value) or not 1e-30 <= value <= 1e30:
                 raise ValueError(f"{name}: expected a finite number above 0 (1e-30 to 1e30), got {value!r}")
             object.__setattr__(self, name, float(value))
@@ -61,12 +61,12 @@ class Settings:
 
     @property
     def model(self) -> int:
-        """The error model's number."""
+        """Number of the error model."""
         return ERROR_MODELS.index(self.error_model)
 
     @property
     def area(self) -> tuple[float, float, float, float]:
-        """xmin, ymin, xmax, ymax in metres, half-open."""
+        """The bounds xmin, ymin, xmax, ymax in metres, half-open; infinite if there are none."""
         if self.bounds is None:
             return -math.inf, -math.inf, math.inf, math.inf
         xmin, ymin, xmax, ymax = self.bounds
@@ -74,7 +74,7 @@ class Settings:
 
     @property
     def window(self) -> tuple[int, int, int, int]:
-        """The cells i0, j0, i1, j1 (both ends in it) that may be written."""
+        """The cells i0, j0, i1, j1, inclusive, that may be written."""
         if self.bounds is None:
             return _INT_MIN, _INT_MIN, _INT_MAX, _INT_MAX
         low = [math.floor(value / self.cell_size + _SLACK) for value in self.bounds[:2]]
@@ -88,13 +88,13 @@ class Settings:
 
     @property
     def rules(self) -> Rules:
-        """What the kernels take."""
+        """The settings as the kernels take them."""
         return self.model, self.cell_size, self.area, self.window, self.error, self.min_share
 
     @property
     def side(self) -> int:
-        """Most cells along an axis that a footprint can meet."""
-        # An eigenvalue may be raised by (min_radius / k)^2; two cells more for the ends, two for rounding.
+        """Largest number of cells along an axis in a footprint."""
+        # An eigenvalue may be raised by (min_radius / k)^2. Two more cells for the ends and two for rounding.
         return int(2.0 * math.hypot(self.max_horizontal_radius, self.min_radius) / self.cell_size) + 4
 
 

@@ -1,22 +1,21 @@
-"""What the documents say in figures and lists is what the code has: limits, problems, alerts."""
+"""Figures, settings and lists in the documents equal those in the code: limits, problems, alerts, events, layers."""
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 
 from roughmap import CELL_DTYPE
 from roughmap.tiles.slots import SLOT_BYTES
-from roughmap_client.client import AGAIN_MOST_S
+from roughmap_client.client import MAX_RETRY_S
 from roughmap_schemas import Config
 from roughmap_schemas.layers import LAYERS
-from roughmap_service.answers import queryables as answers
 from roughmap_service.cli.health import WORKS
 from roughmap_service.cli.serve import SWITCH_SECONDS
-from roughmap_service.host import counters, disk, ending
+from roughmap_service.host import counters, disk
 from roughmap_service.journal import writer as log_writer
-from roughmap_service.store import memory_limit as memory
 from roughmap_service.store import snapshots
 from roughmap_service.watch import readiness
 
@@ -24,63 +23,95 @@ ROOT = Path(__file__).resolve().parents[1]
 DEFAULT = Config()
 
 
+PAGES = ("README.md", "OPERATIONS.md", "RELIABILITY.md", "SECURITY.md", "docker/alerts.yaml")
+
+UNITS = {"s": 1.0, "ms": 1e-3, "cm": 1e-2, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
+
+
 def page(name: str) -> str:
-    """A page's text, as one line."""
-    return " ".join((ROOT / name).read_text(encoding="utf-8").split())
+    return (ROOT / name).read_text(encoding="utf-8")
 
 
 def rows(name: str, head: str) -> list[list[str]]:
-    """The cells of the table whose head begins so, without the head."""
-    text = (ROOT / name).read_text(encoding="utf-8")
-    (table,) = re.findall(rf"^\| {head} \|.*\n\|[-|]+\n((?:\|.*\n)+)", text, re.MULTILINE)
+    """The cells of the table whose first column has this head, without the head."""
+    (table,) = re.findall(rf"^\| {head} \|.*\n\|[-|]+\n((?:\|.*\n)+)", page(name), re.MULTILINE)
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
 
 
+def names(name: str, head: str) -> list[str]:
+    """All names in the first column of a table."""
+    return [word for row in rows(name, head) for word in re.findall(r"\w+", row[0])]
+
+
+def settings() -> dict[str, Any]:
+    """Every setting by its dotted name, with its default."""
+    return {
+        f"{section}.{name}": value
+        for section, values in DEFAULT.model_dump().items()
+        for name, value in values.items()
+        if isinstance(values, dict)
+    }
+
+
 @pytest.mark.parametrize(
-    ("name", "words", "value"),
+    ("name", "head", "row", "value", "unit"),
     [
-        ("OPERATIONS.md", "or has not answered for {:g} s: nothing is taken in", disk.HANG_SECONDS),
-        ("OPERATIONS.md", "({:g} s without a tile taken", snapshots.HANG_SECONDS),
-        ("OPERATIONS.md", "nothing was taken up for {:g} s", readiness.STALLED_SECONDS),
-        ("OPERATIONS.md", "or were until {:g} s ago", counters.OVERLOAD_SECONDS),
-        ("OPERATIONS.md", "written first; tried every {}", {1.0: "second"}.get(log_writer.RETRY_SECONDS)),
-        ("OPERATIONS.md", "`map.memory_limit` ({:g} GiB)", DEFAULT.map.memory_limit / 2**30),
-        ("OPERATIONS.md", "{:g} KiB a tile of 64 x 64 cells", SLOT_BYTES / 2**10),
-        ("OPERATIONS.md", "lies in the spill file, {:g} bytes a cell", CELL_DTYPE.itemsize),
-        ("OPERATIONS.md", "stored in `map.db` every {:g} s;", DEFAULT.store.snapshot_interval),
-        ("OPERATIONS.md", "a snapshot every {:g} s: at most", DEFAULT.store.snapshot_interval),
-        ("RELIABILITY.md", "after {:g} s it counts as a log that can't be written", disk.HANG_SECONDS),
-        ("RELIABILITY.md", "twice as long each time, up to {:g} s", AGAIN_MOST_S),
-        ("RELIABILITY.md", "an overload ends when none was dropped for {:g} s", counters.OVERLOAD_SECONDS),
-        ("RELIABILITY.md", "threads give way after {:g} ms", SWITCH_SECONDS * 1000),
-        ("README.md", "`height_tolerance` ({:g} cm in all)", DEFAULT.map.height_tolerance * 100),
-        ("README.md", "`{}` has `/healthz`", DEFAULT.http.listen),
-        ("CHANGELOG.md", "`log_not_writable` after {:g} s without an answer", disk.HANG_SECONDS),
-        ("CHANGELOG.md", "delay the end by {:g} s at most", answers.CLOSE_SECONDS + ending.LINKS_SECONDS),
-        ("CHANGELOG.md", "(1/{:g} of the limit,", 1 / memory.KEPT_SHARE),
-        ("CHANGELOG.md", "at most {:g} MiB)", memory.MOST_KEPT / 2**20),
+        ("OPERATIONS.md", "problem", "`log_not_writable`", disk.HANG_SECONDS, "s"),
+        ("OPERATIONS.md", "problem", "`log_not_writable`", log_writer.RETRY_SECONDS, "s"),
+        ("OPERATIONS.md", "problem", "`snapshot_failed`", snapshots.HANG_SECONDS, "s"),
+        ("OPERATIONS.md", "problem", "`sequencer_stalled`", readiness.STALLED_SECONDS, "s"),
+        ("OPERATIONS.md", "problem", "`overloaded`", counters.OVERLOAD_SECONDS, "s"),
+        ("OPERATIONS.md", "resource", "memory of the map", SLOT_BYTES / 2**10, "KiB"),
+        ("OPERATIONS.md", "resource", "a map larger than memory", CELL_DTYPE.itemsize, "bytes"),
+        ("RELIABILITY.md", "fault", "disk that hangs", disk.HANG_SECONDS, "s"),
+        ("RELIABILITY.md", "fault", "link cut, held up", MAX_RETRY_S, "s"),
+        ("RELIABILITY.md", "load", "twice as many scans", counters.OVERLOAD_SECONDS, "s"),
+        ("RELIABILITY.md", "load", "twice as many scans", SWITCH_SECONDS * 1000, "ms"),
     ],
 )
-def test_a_figure_is_the_codes(name: str, words: str, value: object) -> None:
-    assert words.format(value) in page(name)
+def test_a_rows_figure_is_the_codes(name: str, head: str, row: str, value: float, unit: str) -> None:
+    (cells,) = [cells for cells in rows(name, head) if cells[0].startswith(row)]
+    assert re.search(rf"(?<![\d.]){value:g} {unit}\b", " ".join(cells[1:]))
 
 
-def test_every_problem_is_told_with_what_ready_and_health_say() -> None:
-    told = {}
-    for problems, _, answers_, _ in rows("OPERATIONS.md", "problem"):
-        told |= dict.fromkeys(re.findall(r"`(\w+)`", problems), answers_)
-    assert told == {
+@pytest.mark.parametrize("name", PAGES)
+def test_settings_named_exist_with_the_default_beside_them(name: str) -> None:
+    """`section.name` is a setting; a number in parentheses right after it is its default."""
+    known = settings()
+    sections = "|".join(DEFAULT.model_dump().keys() - {"sensors", "robots"})
+    mark = "`" if name.endswith(".md") else ""
+    setting = rf"((?:{sections})\.(?!db\b)[a-z_]+)"
+    named = re.findall(rf"{mark}\b{setting}(?: = [^`]*)?{mark}(?: \(([\d.]+) (\w+)\))?", page(name))
+    for one, number, unit in named:
+        assert one in known
+        assert not number or float(number) * UNITS[unit] == pytest.approx(known[one]), one
+
+
+def test_the_readme_names_the_pages_address() -> None:
+    assert f"`http://{DEFAULT.http.listen}`" in page("README.md")
+
+
+def test_every_problem_is_listed_with_its_codes() -> None:
+    listed = {}
+    for problems, _, codes, _ in rows("OPERATIONS.md", "problem"):
+        listed |= dict.fromkeys(re.findall(r"`(\w+)`", problems), codes)
+    assert listed == {
         str(one): f"{200 if readiness.is_ready([one]) else 503}, {0 if str(one) in WORKS else 1}"
         for one in readiness.Problem
     }
 
 
-def test_every_alert_is_told_and_no_other() -> None:
-    rules = yaml.safe_load((ROOT / "docker" / "alerts.yaml").read_text(encoding="utf-8"))["groups"]
-    told = [name for row in rows("OPERATIONS.md", "alert") for name in re.findall(r"\w+", row[0])]
-    assert sorted(told) == sorted(rule["alert"] for group in rules for rule in group["rules"])
+def test_every_alert_is_listed() -> None:
+    groups = yaml.safe_load(page("docker/alerts.yaml"))["groups"]
+    rules = [rule["alert"] for group in groups for rule in group["rules"]]
+    assert sorted(names("OPERATIONS.md", "alert")) == sorted(rules)
 
 
-def test_the_layers_of_the_readme_are_all_there_are() -> None:
-    told = [name for row in rows("README.md", "layer") for name in re.findall(r"\w+", row[0])]
-    assert sorted(told) == sorted(LAYERS)
+def test_every_event_of_a_log_line_is_listed() -> None:
+    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "service" / "roughmap_service").rglob("*.py")]
+    known = {event for source in sources for event in re.findall(r"logging\.[A-Z]+,\s*\"(\w+)\"", source)}
+    assert set(names("OPERATIONS.md", "event")) == known
+
+
+def test_every_layer_is_listed() -> None:
+    assert sorted(names("README.md", "layer")) == sorted(LAYERS)

@@ -1,1 +1,1 @@
-"""Points into cells: the two phases of an `add`, and the ordered update (eq. 5, 13-16)."""
+"""From points to cells: the two phases of an `add`, and the ordered update of cells (eq. 5, 13-16)."""

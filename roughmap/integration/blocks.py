@@ -1,26 +1,26 @@
-"""Phase one of an `add`: the geometry of its points, block after block, up to the tiles in which they lie."""
+"""Kernels of phase one: the geometry of the points, block by block, up to the tiles in which they lie."""
 
 import numpy as np
 
 from roughmap.arrays import F8, I8, Scalar
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
-from roughmap.integration.update import RUN
+from roughmap.integration.cell_update import RUN
 from roughmap.jit import inline, kernel
 from roughmap.points.footprint import CUBOID, POINT, bound_cuboids, bound_ellipsoids, bound_points
 from roughmap.points.place import BLOCK, S, X, Y, Z, place_moving, place_still
 from roughmap.points.plain import flag_points, weigh_cuboids, weigh_ellipsoids, within
 from roughmap.points.strided import read_points
-from roughmap.tiles.index import row_of, tile_key
+from roughmap.tiles.index import find_or_add, tile_key
 
-State = tuple[int, int, int]
-"""Tiles found so far, and the next rows of a run and of an odd point."""
+BlockState = tuple[int, int, int]
+"""Number of tiles found so far, next row of a run, next row of an odd point."""
 
 _MASK = TILE_CELLS - 1
 
 
 @inline
 def _weigh(first: Scalar, planes: Scalar, block: Scalar, rules: Scalar) -> None:
-    """Bound a block's points that are placed, and weigh the plain ones."""
+    """Compute the footprints of a block of placed points, and the weights of the plain ones."""
     model, a, area, window, error, min_share = rules
     part = slice(first, first + BLOCK)
     z, reason, q, weight = planes.z[part], planes.reason[part], planes.q[part], planes.weight[first // BLOCK]
@@ -39,34 +39,33 @@ def _weigh(first: Scalar, planes: Scalar, block: Scalar, rules: Scalar) -> None:
 
 
 @inline
-def _lay_aside(n: Scalar, planes: Scalar, block: Scalar, odd: Scalar, window: Scalar) -> Scalar:
-    """Keep what the update of an odd point needs in row ``odd``; whether it lies in one tile."""
+def _store_odd(n: Scalar, planes: Scalar, block: Scalar, odd: Scalar, window: Scalar) -> Scalar:
+    """Store what phase two needs of an odd point in row ``odd``; return whether it lies in one tile."""
     cells, body = block.cells, block.body
     for m in range(4):
         planes.odd_box[odd, m] = cells[m, n]
         planes.odd_body[odd, 2 + m] = body[m, n]
     planes.odd_body[odd, 0] = block.planes[X, n]
     planes.odd_body[odd, 1] = block.planes[Y, n]
-    planes.odd_home[odd] = -1
+    planes.odd_tile[odd] = -1
     return within(cells[0, n], cells[1, n], cells[2, n], cells[3, n], window)
 
 
 @inline
-def _assign(
+def _find_tiles(
     first: Scalar, size: Scalar, planes: Scalar, block: Scalar, window: Scalar, found: Scalar, state: Scalar
 ) -> Scalar:
-    """Find the tile of each point of a block, make its runs, and lay the odd points aside.
+    """Find the tile of each point of a block, form its runs, and store its odd points.
 
-    ``state``: tiles so far, and the next rows of a run and of an odd point. There is room for a block's tiles. Returns
-    the state after it.
+    ``found`` must have room for a block's tiles. Returns the state after the block.
     """
     table, keys, work, rejected = found
     number, runs, odd = state
     cells = block.cells
     last_key = np.uint64(0)
     row: Scalar = np.int64(-1)
-    worked = 0  # points of this tile in a row
-    length = 0  # of the run that is open, if not 0
+    worked = 0  # consecutive points in this tile
+    length = 0  # of the open run; 0: none is open
     for n in range(size):
         k = first + n
         plain = block.plain[n] != 0
@@ -77,10 +76,10 @@ def _assign(
             if planes.reason[k] != 0:
                 rejected[planes.reason[k]] += 1
                 continue
-            alone = _lay_aside(n, planes, block, odd, window)
+            alone = _store_odd(n, planes, block, odd, window)
             planes.run_start[runs] = k
             planes.run_stop[runs] = k + 1
-            planes.run_home[runs] = -1 - odd
+            planes.run_tile[runs] = -1 - odd
             runs += 1
             odd += 1
             if not alone:
@@ -95,10 +94,10 @@ def _assign(
                 planes.run_stop[runs - 1] = k
                 length = 0
             last_key = key
-            row, number = row_of(table, keys, work, key, number)
+            row, number = find_or_add(table, keys, work, key, number)
         worked += 1
         if not plain:
-            planes.odd_home[odd - 1] = row
+            planes.odd_tile[odd - 1] = row
             continue
         planes.corner[k] = (j & _MASK) << TILE_SHIFT | (i & _MASK)
         if length == RUN:
@@ -106,7 +105,7 @@ def _assign(
             length = 0
         if length == 0:
             planes.run_start[runs] = k
-            planes.run_home[runs] = row
+            planes.run_tile[runs] = row
             runs += 1
         length += 1
     if length:
@@ -126,19 +125,20 @@ def scan_blocks(
     offsets: I8,
     moving: bool,
     stamp: int,
-    way: Scalar,
+    path: Scalar,
     max_gap_ns: float,
     posed: bool,
     pose: Scalar,
     returns: Scalar,
     rules: Scalar,
     found: Scalar,
-    state: State,
-) -> tuple[int, State]:
-    """Place, bound and weigh the points of a scan from ``start``, where a block begins, to ``stop``; find their tiles.
+    state: BlockState,
+) -> tuple[int, BlockState]:
+    """Place the points ``start`` to ``stop`` of a scan, compute their footprints and weights, and find their tiles.
 
-    What is known of a point only on the way lives as long as its block. Stops early where the table of tiles in
-    ``found`` has no room for another block. Returns the point at which it stopped and the `State` there.
+    ``start`` is the first point of a block. ``returns``: see `scan_rules`; ``rules``: see `MapSettings.rules`. Stops
+    early if the table of tiles in ``found`` has no room for another block. Returns the point at which it stopped and
+    the `BlockState` there.
     """
     for first in range(start, stop, BLOCK):
         if 2 * (state[0] + BLOCK) > len(found[0]):
@@ -149,13 +149,13 @@ def scan_blocks(
         with_covariance = rules[0] != POINT
         if moving:
             place_moving(
-                block.planes, reason, offsets, first, size, block.bracket, with_covariance, stamp, way,
+                block.planes, reason, offsets, first, size, block.bracket, with_covariance, stamp, path,
                 max_gap_ns, returns,
             )  # fmt: skip
         else:
             place_still(block.planes, reason, with_covariance, posed, pose, returns)
         _weigh(first, planes, block, rules)
-        state = _assign(first, size, planes, block, rules[3], found, state)
+        state = _find_tiles(first, size, planes, block, rules[3], found, state)
     return stop, state
 
 
@@ -169,9 +169,9 @@ def point_blocks(
     covariance: F8,
     rules: Scalar,
     found: Scalar,
-    state: State,
-) -> tuple[int, State]:
-    """The same for points in the map frame. ``covariance``: (1, 3, 3) for all, or one a point."""
+    state: BlockState,
+) -> tuple[int, BlockState]:
+    """Do the same for points in the map frame. ``covariance``: (1, 3, 3) for all points, or (N, 3, 3)."""
     each = np.int64(1) if len(covariance) > 1 else np.int64(0)
     P = block.planes
     for first in range(start, stop, BLOCK):
@@ -189,5 +189,5 @@ def point_blocks(
                 P[S + 4, n] = c[1, 2]
                 P[S + 5, n] = c[2, 2]
         _weigh(first, planes, block, rules)
-        state = _assign(first, size, planes, block, rules[3], found, state)
+        state = _find_tiles(first, size, planes, block, rules[3], found, state)
     return stop, state

@@ -1,4 +1,4 @@
-"""Memory that is used again from one scan to the next, and the threads that share the work."""
+"""Memory reused from scan to scan, and the threads that share the work."""
 
 import weakref
 from collections.abc import Callable
@@ -9,36 +9,39 @@ import numpy as np
 
 from roughmap.arrays import F8, I4, I8, U1, U2, U8
 from roughmap.cell import PointReason
-from roughmap.integration.update import QUEUE, RUN
+from roughmap.integration.cell_update import QUEUE, RUN
 from roughmap.points.place import BLOCK, PLANES, STRIDE
 from roughmap.tiles.index import rehash
 
 _KEPT_POINTS = 1 << 18
-"""Planes for more points than this (some 35 MB) are given back after the call that needed them."""
+"""Planes for more points than this (about 35 MB) are freed after the call that needed them."""
 
 _KEPT_TILES = 1 << 16
-"""A larger table of touched tiles is given back by the next call: it would be emptied anew for every scan."""
+"""A larger table of touched tiles is freed by the next call, since it would have to be cleared for every scan."""
 
-_POINTS_A_THREAD = 2048
-"""Fewer are not worth a thread."""
+_POINTS_PER_THREAD = 2048
+"""Fewer points are not worth a thread."""
 
 
 def blocks_of(number: int) -> int:
-    """Blocks into which so many points fall."""
+    """Return the number of blocks for ``number`` points."""
     return -(-number // BLOCK)
 
 
 class Planes(NamedTuple):
-    """What is kept of a scan's points from their geometry to the update of the cells: an array a quantity.
+    """What phase one leaves of a call's points for phase two: one array per quantity.
 
-    ``z``: height, map frame. ``q``: weight over share. ``weight`` (blocks, 4, BLOCK): weights in the cells (i, j),
-    (i+1, j), (i, j+1), (i+1, j+1) of a plain point, 0 where it takes no part; ``corner``: cell (i, j) in its tile.
+    A point is plain if its footprint is at most 2 x 2 cells of one tile, else it is odd. Consecutive plain points of
+    the same tile form a run; each odd point is a run of its own.
 
-    A point is plain if its footprint is at most 2 x 2 cells of one tile; else it is odd. Plain points of one tile that
-    follow each other make a run, and so does each odd point: from ``run_start`` to ``run_stop``, with ``run_home`` the
-    row of that tile, or -1 - k for the odd point of row k. ``odd_box``: cells i0, j0, i1, j1, both ends in it;
-    ``odd_body``: x, y, and four numbers of the error body; ``odd_home``: row of its tile, or -1 if there are several.
-    The rows of a part's runs and odd points begin where its range of points begins.
+    For each point, ``z``: height in the map frame; ``reason``: see `PointReason`; ``q``: weight over share. For plain
+    points, ``corner``: cell (i, j) in its tile; ``weight`` (blocks, 4, BLOCK): weights in the cells (i, j), (i+1, j),
+    (i, j+1), (i+1, j+1), 0 where the share does not count.
+
+    For each run, ``run_start`` to ``run_stop``: its points; ``run_tile``: the row of its tile, or -1 - k for the odd
+    point of row k. For each odd point, ``odd_box``: cells i0, j0, i1, j1, inclusive; ``odd_body``: x, y and four
+    numbers of the error body; ``odd_tile``: the row of its tile, or -1 if there are several. Each part of the work
+    writes its runs and odd points from the row on at which its range of points starts.
     """
 
     z: F8
@@ -48,14 +51,14 @@ class Planes(NamedTuple):
     weight: F8
     run_start: I4
     run_stop: I4
-    run_home: I4
+    run_tile: I4
     odd_box: I4
     odd_body: F8
-    odd_home: I4
+    odd_tile: I4
 
 
 def _planes(blocks: int) -> Planes:
-    """Planes for so many blocks. Pages of the rows for odd points are not touched before there are such points."""
+    """Allocate planes. The pages of the rows for odd points stay unallocated until there are such points."""
     number = blocks * BLOCK
     return Planes(
         np.empty(number),
@@ -73,10 +76,10 @@ def _planes(blocks: int) -> Planes:
 
 
 class Block(NamedTuple):
-    """What is known of a block's points only while it is worked on.
+    """Scratch for the block of points in work.
 
-    ``planes`` (PLANES, STRIDE), ``bracket``: see `place`. ``cells`` (4, BLOCK): the footprint's i0, j0, i1,
-    j1. ``body`` (4, BLOCK): half extents along x and y; of an ellipse also rho and beta. ``plain``: 1 for plain points.
+    ``planes`` (PLANES, STRIDE), ``bracket``: see `place`. ``cells`` (4, BLOCK): i0, j0, i1, j1 of the footprints.
+    ``body`` (4, BLOCK): half extents along x and y; for ellipses also rho and beta. ``plain``: 1 for plain points.
     """
 
     planes: F8
@@ -87,18 +90,18 @@ class Block(NamedTuple):
 
 
 class Queue(NamedTuple):
-    """Updates of cells that wait: addresses of cells, weights, points."""
+    """Pending updates of cells: addresses of the cells, weights, numbers of the points."""
 
     cell: U8
     weight: F8
     point: I8
 
 
-class Touched:
-    """What a part of a scan touches: the tiles, by key, in a small hash that doubles when it is half full.
+class TouchedTiles:
+    """The tiles that a part of a scan touches, by key, in a small hash table that doubles when it is half full.
 
-    ``work``: points in each tile. ``number``: tiles. ``runs``: the row after the last run. ``rejected``: points, by
-    `PointReason`.
+    ``work``: number of points in each tile. ``number``: number of tiles. ``runs``: the row after the last run.
+    ``rejected``: number of points by `PointReason`.
     """
 
     def __init__(self) -> None:
@@ -114,11 +117,11 @@ class Touched:
 
     @property
     def arrays(self) -> tuple[I4, U8, I8, I8]:
-        """What the kernels take: table, keys, work, rejected."""
+        """The arrays for the kernels: table, keys, work, rejected."""
         return self.table, self.keys, self.work, self.rejected
 
     def clear(self) -> None:
-        """Forget all, and give back what a scan over very many tiles took."""
+        """Remove all tiles, and free the memory that a scan over very many tiles took."""
         if len(self.table) > _KEPT_TILES:
             self._begin()
         self.table[:] = -1
@@ -126,7 +129,7 @@ class Touched:
         self.rejected[:] = 0
 
     def double(self) -> None:
-        """Twice the room."""
+        """Double the capacity."""
         self.keys = np.append(self.keys, np.zeros_like(self.keys))
         self.work = np.append(self.work, np.zeros_like(self.work))
         self.table = np.empty(2 * len(self.table), np.int32)
@@ -134,7 +137,7 @@ class Touched:
 
 
 class ThreadScratch:
-    """What one thread needs for itself: a block, the tiles of its part, a footprint's shares, a queue."""
+    """The scratch memory of one thread: a block, the tiles of its part, the shares of a footprint, a queue."""
 
     def __init__(self, side: int) -> None:
         self.block = Block(
@@ -144,7 +147,7 @@ class ThreadScratch:
             np.zeros((4, BLOCK)),
             np.zeros(BLOCK, np.uint8),
         )
-        self.tiles = Touched()
+        self.tiles = TouchedTiles()
         self.lines = np.zeros((5, side + 1))
         self.shares = np.empty(side * side)
         room = QUEUE + max(side * side, 4 * RUN)
@@ -152,9 +155,9 @@ class ThreadScratch:
 
 
 class Workspace:
-    """Planes, scratch and threads of one map. ``side``: most cells of a footprint along an axis.
+    """Planes, scratch and threads of one map. ``side``: largest number of cells along an axis in a footprint.
 
-    ``uses``: how often `planes` was called; what it gave before is overwritten.
+    ``uses``: number of calls to `planes`; each call overwrites what the previous one returned.
     """
 
     def __init__(self, threads: int, side: int) -> None:
@@ -167,11 +170,11 @@ class Workspace:
 
     @property
     def scratch(self) -> list[ThreadScratch]:
-        """One a thread, as far as threads were needed."""
+        """The scratch of each thread that was needed so far."""
         return self._scratch
 
     def planes(self, number: int) -> Planes:
-        """Planes for ``number`` points, in whole blocks; what they hold is left from before, but ``reason``, 0."""
+        """Return planes for ``number`` points, in whole blocks. ``reason`` is 0, all else is left from before."""
         self.uses += 1
         blocks = blocks_of(number)
         kept = self._planes
@@ -179,17 +182,17 @@ class Workspace:
             kept = _planes(max(blocks, 16))
             if number <= _KEPT_POINTS:
                 self._planes = kept
-        # Views without gaps: kernels are compiled for that layout alone.
+        # Contiguous views: the kernels are compiled for that layout only.
         part = Planes._make(array[: blocks if array.ndim == 3 else blocks * BLOCK] for array in kept)
         part.reason[:] = 0
         return part
 
     def parts(self, number: int) -> int:
-        """Into how many parts the work on so many points is split."""
-        return max(1, min(self.threads, number // _POINTS_A_THREAD))
+        """Return the number of parts into which the work on ``number`` points is split."""
+        return max(1, min(self.threads, number // _POINTS_PER_THREAD))
 
     def run(self, parts: int, task: Callable[[int, ThreadScratch], None]) -> None:
-        """Call ``task(part, scratch)`` for each part, each in a thread; the first in this one."""
+        """Call ``task(part, scratch)`` for each part, each in its own thread, the first in the calling one."""
         while len(self._scratch) < parts:
             self._scratch.append(ThreadScratch(self.side))
         if parts > 1 and self._pool is None:
@@ -199,12 +202,12 @@ class Workspace:
         try:
             task(0, self._scratch[0])
         finally:
-            wait(others)  # all of them, also if one fails: none may work on while the next scan begins
+            wait(others)  # for all, even if one fails: none may still run when the next scan starts
         for other in others:
             other.result()
 
     def close(self) -> None:
-        """End the threads; they begin anew when they are needed."""
+        """End the threads; they are started again when needed."""
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None

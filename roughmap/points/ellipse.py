@@ -1,9 +1,9 @@
-"""The ellipsoid model: small eigenvalues raised, and the exact share of an ellipse in each cell.
+"""The ellipsoid model: raising small eigenvalues, and the exact share of an ellipse in each cell.
 
-The ellipse x^T C^-1 x <= k^2 becomes the unit disk by u = (X - x) / (k sx) and w = (Y - y) / (k sy): a line along y is
-u = U, a line along x is rho u + beta v = V with beta = sqrt(1 - rho^2). What of the disk lies left of the one and below
-the other has a closed form; a cell's share is a difference of four such areas, so that shares add up to 1 by
-themselves, slivers or not.
+The ellipse x^T C^-1 x <= k^2 maps to the unit disk by u = (X - x) / (k sx) and w = (Y - y) / (k sy): a line along y
+becomes u = U, a line along x becomes rho u + beta v = V with beta = sqrt(1 - rho^2). The area of the disk to the left
+of the first and below the second has a closed form. A cell's share is a difference of four such areas, so that the
+shares add up to 1, however thin the ellipse.
 """
 
 import math
@@ -13,12 +13,12 @@ from roughmap.jit import inline, kernel
 from roughmap.points.poly import angle
 
 _SWEEPS = 16
-"""Jacobi's method converges quadratically; it has been done after five or six sweeps of a 3x3 matrix."""
+"""Upper limit. Jacobi's method converges quadratically: a 3x3 matrix needs five or six sweeps."""
 
 
 @inline
 def pivots(a: Scalar, b: Scalar, c: Scalar, d: Scalar, e: Scalar, f: Scalar) -> Scalar:
-    """Pivots of L D L^T of [[a, b, c], [b, d, e], [c, e, f]]: all > 0 if and only if it is positive definite."""
+    """Return the L D L^T pivots of [[a, b, c], [b, d, e], [c, e, f]]; all > 0 if and only if positive definite."""
     second = d - b * b / a
     corner = e - b * c / a
     return a, second, f - c * c / a - corner * corner / second
@@ -26,9 +26,10 @@ def pivots(a: Scalar, b: Scalar, c: Scalar, d: Scalar, e: Scalar, f: Scalar) -> 
 
 @kernel
 def raise_eigenvalues(planes: F8, first: int, n: int, least: float) -> Scalar:
-    """Raise the eigenvalues below ``least`` of the matrix in planes[first :, n] (upper triangle); its determinant.
+    """Raise the eigenvalues below ``least`` of the matrix in planes[first :, n] (upper triangle).
 
-    A matrix with none below it stays as it is. Cyclic Jacobi rotations; nothing but ``sqrt`` is needed.
+    Returns the determinant. A matrix without such eigenvalues is not changed. Cyclic Jacobi rotations, which need no
+    function but ``sqrt``.
     """
     a00, a01, a02 = planes[first, n], planes[first + 1, n], planes[first + 2, n]
     a11, a12, a22 = planes[first + 3, n], planes[first + 4, n], planes[first + 5, n]
@@ -69,9 +70,9 @@ def raise_eigenvalues(planes: F8, first: int, n: int, least: float) -> Scalar:
 
 @inline
 def _rotation(p: Scalar, q: Scalar, r: Scalar) -> Scalar:
-    """Cosine, sine and tangent of the turn that makes [[p, q], [q, r]] diagonal; the smaller of the two."""
+    """Return cosine, sine and tangent of the smaller of the two rotations that make [[p, q], [q, r]] diagonal."""
     if abs(q) <= 1e-18 * (abs(p) + abs(r)) or q == 0.0:
-        # Below the last bit of what it would change.
+        # Smaller than the last bit of the entries that it would change.
         return 1.0, 0.0, 0.0
     h = (r - p) / (2.0 * q)
     t = 1.0 / (abs(h) + math.sqrt(h * h + 1.0))
@@ -81,15 +82,15 @@ def _rotation(p: Scalar, q: Scalar, r: Scalar) -> Scalar:
 
 
 @inline
-def height(U: Scalar) -> Scalar:
-    """Half the chord of the unit disk at ``U``; 0 outside."""
+def half_chord(U: Scalar) -> Scalar:
+    """Return half the chord of the unit disk at u = ``U``; 0 outside the disk."""
     square = (1.0 - U) * (1.0 + U)
     return math.sqrt(square if square > 0.0 else 0.0)
 
 
 @inline
 def half_plane(U: Scalar, chord: Scalar, arc: Scalar) -> Scalar:
-    """Share of the unit disk with u <= U; ``chord``: its `height` at U, ``arc``: the `angle` of both."""
+    """Return the share of the unit disk with u <= U; ``chord``: `half_chord` at U, ``arc``: `angle` (U, chord)."""
     share = 1.0 - (arc - U * chord) / math.pi
     share = 0.0 if U <= -1.0 else share
     return 1.0 if U >= 1.0 else share
@@ -109,18 +110,19 @@ def corner_share(
     beta: Scalar,
     arc_rho: Scalar,
 ) -> Scalar:
-    """Share of the unit disk with u <= U and rho u + beta v <= V. A choice among numbers: loops are vectorised.
+    """Return the share of the unit disk with u <= U and rho u + beta v <= V.
 
-    ``su``, ``arc_u``, ``left``: chord, angle and share of the line at U; the same of V; ``arc_rho`` = angle(rho, beta).
+    ``su``, ``arc_u``, ``left``: half chord, angle and share of the line at U; ``sv``, ``arc_v``, ``below``: the same at
+    V; ``arc_rho`` = angle(rho, beta). No branches, so that loops vectorise.
     """
-    # Where the lines cross inside the disk: a sector from chord to chord, and two triangles to the crossing.
+    # The lines cross inside the disk: a sector between the chords, and two triangles to the crossing.
     rise = V - rho * U
     pv = rise / beta
     bu = V * rho - sv * beta
     bv = V * beta + sv * rho
     triangles = (U * bv - pv * bu) + (U * pv + su * U)
     crossed = (2.0 * math.pi - arc_u - arc_v - arc_rho + triangles) / (2.0 * math.pi)
-    # Where they do not: each chord lies wholly on one side of the other line, as its middle does.
+    # They do not cross inside: each chord lies wholly on one side of the other line, as does its midpoint.
     u_inside = rho * U < V
     v_inside = rho * V < U
     apart = below if v_inside else 0.0
@@ -147,13 +149,13 @@ def ellipse_shares(
     lines: F8,
     shares: F8,
 ) -> Scalar:
-    """Shares of the ellipse in the cells i0 .. i0 + ni - 1, j0 .. j0 + nj - 1, row by row; the largest.
+    """Fill ``shares`` with the ellipse's shares in the cells i0 .. i0 + ni - 1, j0 .. j0 + nj - 1, row by row.
 
-    (x, y): centre. (ex, ey): half extents k sx, k sy. ``lines`` (5, >= ni + 1) is scratch.
+    Returns the largest share. (x, y): centre. (ex, ey): half extents k sx, k sy. ``lines`` (5, >= ni + 1) is scratch.
     """
     for i in range(ni + 1):
         U = ((i0 + i) * a - x) / ex
-        su = height(U)
+        su = half_chord(U)
         arc = angle(U, su)
         lines[0, i] = U
         lines[1, i] = su
@@ -169,7 +171,7 @@ def ellipse_shares(
     arc_rho = angle(rho, beta)
     for j in range(nj + 1):
         V = ((j0 + j) * a - y) / ey
-        sv = height(V)
+        sv = half_chord(V)
         arc = angle(V, sv)
         below = half_plane(V, sv, arc)
         before = 0.0

@@ -1,4 +1,4 @@
-"""Where a point may be: the bounds of its error body, the tests on its covariance, its shares in cells (eq. 12)."""
+"""The error body of a point: checks on its covariance, the cells it covers, and its share in each (eq. 12)."""
 
 import math
 
@@ -12,10 +12,10 @@ from roughmap.points.place import BLOCK, S, X, Y, Z
 
 POINT, CUBOID, ELLIPSOID = 0, 1, 2
 ERROR_MODELS = ("point", "cuboid", "ellipsoid")
-"""The names of the models; index = the number that kernels take."""
+"""Names of the error models; the index is the number that kernels take."""
 
 LEAST_SHARE = 1e-12
-"""A share must be above this to take part: below it the rounding of edges is all that it says."""
+"""Shares up to this are rounding errors of the cell edges and do not count."""
 
 _NOT_FINITE = int(PointReason.NOT_FINITE)
 _COVARIANCE = int(PointReason.COVARIANCE)
@@ -25,18 +25,18 @@ _BOUNDS = int(PointReason.BOUNDS)
 _INT_MIN = -2147483648.0
 _INT_MAX = 2147483647.0
 _PSD_SLACK = 1e-9
-"""An eigenvalue may be this far below zero, in parts of the trace."""
+"""How far below zero an eigenvalue may lie, as a fraction of the trace."""
 
 HEIGHT_MAX = 1e150
-"""Metres; heights beyond it, up or down, are out of bounds: their squares must be numbers."""
+"""Metres. Greater heights, up or down, are out of bounds, because their squares would overflow."""
 
 _DENSITY_MIN, _DENSITY_MAX = 1e-140, 1e140
-"""Weights per share within which W and W2 neither over- nor underflow."""
+"""Range of weight per share in which W and W2 neither overflow nor underflow."""
 
 
 @inline
-def _judge_covariance(xx: Scalar, xy: Scalar, xz: Scalar, yy: Scalar, yz: Scalar, zz: Scalar) -> Scalar:
-    """Whether a covariance is finite, without a negative diagonal, and without an eigenvalue < -1e-9 trace."""
+def _is_covariance(xx: Scalar, xy: Scalar, xz: Scalar, yy: Scalar, yz: Scalar, zz: Scalar) -> Scalar:
+    """Whether the matrix is finite, with no negative diagonal entry and no eigenvalue below -1e-9 times the trace."""
     finite = (
         (abs(xx) < math.inf)
         & (abs(xy) < math.inf)
@@ -46,8 +46,8 @@ def _judge_covariance(xx: Scalar, xy: Scalar, xz: Scalar, yy: Scalar, yz: Scalar
         & (abs(zz) < math.inf)
     )
     trace = xx + yy + zz
-    # In parts of the trace nothing over- or underflows. Pivots, not minors: those of a matrix of rank one drown in
-    # rounding, these stay at the slack.
+    # Dividing by the trace avoids overflow and underflow. Pivots instead of minors: for a matrix of rank one the minors
+    # are lost in rounding, the pivots stay near the slack.
     d0, d1, d2 = pivots(
         xx / trace + _PSD_SLACK,
         xy / trace,
@@ -62,10 +62,10 @@ def _judge_covariance(xx: Scalar, xy: Scalar, xz: Scalar, yy: Scalar, yz: Scalar
 
 
 @inline
-def _judge_place(
+def _position_reason(
     before: Scalar, x: Scalar, y: Scalar, z: Scalar, f0: Scalar, f1: Scalar, g0: Scalar, g1: Scalar, area: Scalar
 ) -> Scalar:
-    """The reason ``before``, or ``bounds``; before both ``not_finite``. f, g: first and last cell along x and y."""
+    """Return ``not_finite``, else the reason ``before``, else ``bounds``. f, g: first and last cell along x and y."""
     inside = (
         (x >= area[0])
         & (y >= area[1])
@@ -84,19 +84,19 @@ def _judge_place(
 
 @inline
 def _cell_number(f: Scalar) -> Scalar:
-    """A floored number as int32; 0 for one that does not fit, whose point is rejected anyway."""
+    """Convert a floored number to int32; 0 if it does not fit, since that point is rejected anyway."""
     return np.int32(f if (f >= _INT_MIN) & (f <= _INT_MAX) else 0.0)
 
 
 @inline
 def bound_points(planes: F8, reason: U1, cells: I4, a: float, area: Scalar) -> None:
-    """`point`: the cell of each point. ``cells`` (4, BLOCK): i0, j0, i1, j1 of the footprint, both ends in it."""
+    """`point`: find the cell of each point. ``cells`` (4, BLOCK): i0, j0, i1, j1 of the footprint, inclusive."""
     for n in range(BLOCK):
         x, y, z = planes[X, n], planes[Y, n], planes[Z, n]
         f = math.floor(x / a) + 0.0
         g = math.floor(y / a) + 0.0
         before = reason[n]
-        judged = _judge_place(before, x, y, z, f, f, g, g, area)
+        judged = _position_reason(before, x, y, z, f, f, g, g, area)
         reason[n] = judged if before == 0 else before
         i = _cell_number(f)
         j = _cell_number(g)
@@ -110,14 +110,14 @@ def bound_points(planes: F8, reason: U1, cells: I4, a: float, area: Scalar) -> N
 def _bound(
     n: Scalar, planes: F8, reason: U1, cells: I4, ex: Scalar, ey: Scalar, before: Scalar, a: Scalar, area: Scalar
 ) -> None:
-    """Cells and reason of a point with half extents ex, ey; ``before``: what its covariance is rejected for, or 0."""
+    """Set cells and reason of a point with half extents ex, ey; ``before``: the reason from its covariance, or 0."""
     x, y, z = planes[X, n], planes[Y, n], planes[Z, n]
     f0 = np.floor((x - ex) / a)
     g0 = np.floor((y - ey) / a)
     f1 = np.floor((x + ex) / a)
     g1 = np.floor((y + ey) / a)
     earlier = reason[n]
-    judged = _judge_place(before, x, y, z, f0, f1, g0, g1, area)
+    judged = _position_reason(before, x, y, z, f0, f1, g0, g1, area)
     reason[n] = judged if earlier == 0 else earlier
     cells[0, n] = _cell_number(f0)
     cells[1, n] = _cell_number(g0)
@@ -127,23 +127,23 @@ def _bound(
 
 @inline
 def _covariance(planes: F8, n: Scalar) -> Scalar:
-    """The upper triangle of a point's covariance."""
+    """Return the upper triangle of a point's covariance."""
     return planes[S, n], planes[S + 1, n], planes[S + 2, n], planes[S + 3, n], planes[S + 4, n], planes[S + 5, n]
 
 
 @inline
-def _judge_size(good: Scalar, wide: Scalar) -> Scalar:
-    """What a covariance is rejected for, or 0."""
+def _covariance_reason(good: Scalar, wide: Scalar) -> Scalar:
+    """Return the reason to reject a covariance, or 0."""
     before = np.uint8(_UNCERTAIN) if wide else np.uint8(0)
     return before if good else np.uint8(_COVARIANCE)
 
 
 @inline
 def bound_cuboids(planes: F8, reason: U1, cells: I4, body: F8, q: F8, a: float, area: Scalar, error: Scalar) -> None:
-    """`cuboid`, a block: cells, reasons, ``body`` (>= 2, BLOCK): rx, ry; ``q`` = w / p = a / (rx ry rz).
+    """`cuboid`: for one block, set cells, reasons, ``body`` (>= 2, BLOCK): rx, ry, and ``q`` = w / p = a / (rx ry rz).
 
-    ``planes``: of the block, see `place`. ``area``: xmin, ymin, xmax, ymax, half-open, metres. ``error``: coverage,
-    min_radius, max_horizontal_radius. Points that have a reason keep it.
+    ``planes``: see `place`. ``area``: xmin, ymin, xmax, ymax, half-open, metres. ``error``: coverage, min_radius,
+    max_horizontal_radius. Points that already have a reason keep it.
     """
     k, least, widest = error
     for n in range(BLOCK):
@@ -154,9 +154,9 @@ def bound_cuboids(planes: F8, reason: U1, cells: I4, body: F8, q: F8, a: float, 
         ry = max(sy, least)
         rz = max(k * math.sqrt(zz), least)
         density = a / (rx * ry * rz)
-        good = _judge_covariance(xx, xy, xz, yy, yz, zz)
+        good = _is_covariance(xx, xy, xz, yy, yz, zz)
         good &= (density > _DENSITY_MIN) & (density < _DENSITY_MAX)
-        _bound(n, planes, reason, cells, rx, ry, _judge_size(good, max(sx, sy) > widest), a, area)
+        _bound(n, planes, reason, cells, rx, ry, _covariance_reason(good, max(sx, sy) > widest), a, area)
         body[0, n] = rx
         body[1, n] = ry
         q[n] = density
@@ -166,20 +166,20 @@ def bound_cuboids(planes: F8, reason: U1, cells: I4, body: F8, q: F8, a: float, 
 def bound_ellipsoids(
     planes: F8, reason: U1, cells: I4, body: F8, q: F8, judged: U1, a: float, area: Scalar, error: Scalar
 ) -> None:
-    """`ellipsoid`, a block: as `bound_cuboids`, with ``body``: k sx, k sy, rho, beta; ``q`` = a / (k^3 sqrt(det S)).
+    """`ellipsoid`: as `bound_cuboids`, with ``body``: k sx, k sy, rho, beta, and ``q`` = a / (k^3 sqrt(det S)).
 
-    Where an eigenvalue is below (min_radius / k)^2 it is raised to it in ``planes``. ``judged`` is scratch.
+    Eigenvalues below (min_radius / k)^2 are raised to it in ``planes``. ``judged`` is scratch.
     """
     k, least, widest = error
     floor = (least / k) * (least / k)
-    # Eigenvalues a little below zero are let through, in parts of the trace: raising them may widen a body of great
-    # height without bound. What it may be at most without that is what footprints have room for.
+    # Raising an eigenvalue slightly below zero may widen a very high body without limit, since the slack is relative to
+    # the trace. ``room`` is the largest extent of any other body, and the scratch for footprints is sized for it.
     room = math.sqrt(widest * widest + least * least) * (1.0 + 1e-9)
     thin = np.int64(0)
     for n in range(BLOCK):
         xx, xy, xz, yy, yz, zz = _covariance(planes, n)
-        good = _judge_covariance(xx, xy, xz, yy, yz, zz)
-        judged[n] = _judge_size(good, k * math.sqrt(max(xx, yy)) > widest)
+        good = _is_covariance(xx, xy, xz, yy, yz, zz)
+        judged[n] = _covariance_reason(good, k * math.sqrt(max(xx, yy)) > widest)
         d0, d1, d2 = pivots(xx, xy, xz, yy, yz, zz)
         m0, m1, m2 = pivots(xx - floor, xy, xz, yy - floor, yz, zz - floor)
         thick = (m0 > 0.0) & (m1 > 0.0) & (m2 > 0.0)
@@ -219,9 +219,10 @@ def _cuboid_shares(
     lines: F8,
     shares: F8,
 ) -> Scalar:
-    """Shares of [x-rx, x+rx] x [y-ry, y+ry] in the cells, row by row; the largest.
+    """Fill ``shares`` with those of [x-rx, x+rx] x [y-ry, y+ry] in the cells, row by row; return the largest.
 
-    The edges are cut to the footprint relative to its middle, so that the shares add up to 1 by themselves.
+    The cell edges are clipped to the footprint, relative to its centre: the shares then add up to 1 without
+    normalising.
     """
     widest = 0.0
     before = min(max(i0 * a - x, -rx), rx)
@@ -245,15 +246,15 @@ def _cuboid_shares(
 
 @inline
 def box_of(boxes: I4, n: Scalar) -> Scalar:
-    """Cells i0, j0, i1, j1 in row ``n``, wide enough for sums."""
+    """Return the cells i0, j0, i1, j1 of row ``n`` as int64."""
     return np.int64(boxes[n, 0]), np.int64(boxes[n, 1]), np.int64(boxes[n, 2]), np.int64(boxes[n, 3])
 
 
 @inline
 def shares_of(model: Scalar, boxes: I4, bodies: F8, n: Scalar, a: Scalar, lines: F8, shares: F8) -> Scalar:
-    """Fill ``shares`` with the shares of a point in the cells of its footprint, row by row; the largest.
+    """Fill ``shares`` with a point's shares in the cells of its footprint, row by row; return the largest.
 
-    Row ``n`` of ``boxes``: cells i0, j0, i1, j1, both ends in it; of ``bodies``: x, y, half extents, rho, beta.
+    Row ``n`` of ``boxes``: cells i0, j0, i1, j1, inclusive. Row ``n`` of ``bodies``: x, y, half extents, rho, beta.
     ``lines`` (5, >= cells along x + 1) is scratch.
     """
     i0, j0, i1, j1 = box_of(boxes, n)
@@ -267,7 +268,7 @@ def shares_of(model: Scalar, boxes: I4, bodies: F8, n: Scalar, a: Scalar, lines:
     else:
         largest = ellipse_shares(x, y, ex, ey, bodies[n, 4], bodies[n, 5], i0, j0, ni, nj, a, lines, shares)
     if not largest > LEAST_SHARE:
-        # The footprint is finer than float64's spacing at its place: all of it lies in the cell of its position.
+        # The footprint is finer than float64's spacing at its position: it counts for the cell of the point alone.
         i: Scalar = min(max(np.int64(math.floor(x / a)) - i0, 0), ni - 1)
         j: Scalar = min(max(np.int64(math.floor(y / a)) - j0, 0), nj - 1)
         for c in range(ni * nj):

@@ -1,11 +1,11 @@
-"""From the sensor into the map (eq. 1)."""
+"""Placement of a scan without a map (eq. 1)."""
 
 import numpy as np
 
 from roughmap.arrays import F8, I8, U1, Scalar
 from roughmap.jit import inline, kernel
 from roughmap.points.place import BLOCK, PLANES, STRIDE, S, X, Y, Z, place_moving, place_still, pose_at
-from roughmap.points.scan import Limits, Noise, Scan, point_rules
+from roughmap.points.scan import Limits, Noise, Scan, scan_rules
 from roughmap.points.strided import read_points, source_of
 from roughmap.points.trajectory import Trajectory
 
@@ -13,10 +13,10 @@ __all__ = ["Limits", "Noise", "Scan", "georeference"]
 
 
 @inline
-def _write(P: F8, why: U1, first: int, size: int, points: F8, covariance: F8, reason: U1) -> None:
+def _write(P: F8, block_reason: U1, first: int, size: int, points: F8, covariance: F8, reason: U1) -> None:
     for n in range(size):
-        kept = why[n] == 0
-        reason[first + n] = why[n]
+        kept = block_reason[n] == 0
+        reason[first + n] = block_reason[n]
         points[first + n, 0] = P[X, n] if kept else np.nan
         points[first + n, 1] = P[Y, n] if kept else np.nan
         points[first + n, 2] = P[Z, n] if kept else np.nan
@@ -34,34 +34,34 @@ def _write(P: F8, why: U1, first: int, size: int, points: F8, covariance: F8, re
 
 @kernel
 def _place_blocks(
-    source: Scalar, offsets: I8, moving: bool, stamp: int, way: Scalar, max_gap_ns: float, posed: bool, pose: Scalar,
-    rules: Scalar, planes: F8, why: U1, bracket: I8, points: F8, covariance: F8, reason: U1,
+    source: Scalar, offsets: I8, moving: bool, stamp: int, path: Scalar, max_gap_ns: float, posed: bool, pose: Scalar,
+    rules: Scalar, planes: F8, block_reason: U1, bracket: I8, points: F8, covariance: F8, reason: U1,
 ) -> None:  # fmt: skip
     number = len(points)
     for first in range(0, number, BLOCK):
         size = min(BLOCK, number - first)
         read_points(source, first, size, planes)
         if moving:
-            place_moving(planes, why, offsets, first, size, bracket, True, stamp, way, max_gap_ns, rules)
+            place_moving(planes, block_reason, offsets, first, size, bracket, True, stamp, path, max_gap_ns, rules)
         else:
-            place_still(planes, why, True, posed, pose, rules)
-        _write(planes, why, first, size, points, covariance, reason)
+            place_still(planes, block_reason, True, posed, pose, rules)
+        _write(planes, block_reason, first, size, points, covariance, reason)
 
 
 def georeference(scan: Scan, trajectory: Trajectory, noise: Noise, limits: Limits | None = None) -> tuple[F8, F8, U1]:
     """Place a scan in the map frame (eq. 1).
 
-    Returns points (N, 3), covariances (N, 3, 3) and reasons (N,) of `PointReason`, 0 = kept; rejected rows are NaN.
-    Rejects for the reasons ``not_finite`` to ``ceiling``; the later ones are the map's.
+    Returns points (N, 3) in metres, covariances (N, 3, 3) and reasons (N,) of `PointReason`, 0 = kept; rejected rows
+    are NaN. Points are rejected for the reasons ``not_finite`` to ``ceiling``; the later reasons are found by the map.
     """
     limits = limits or Limits()
     number = len(scan.points)
     points, covariance, reason = np.empty((number, 3)), np.empty((number, 3, 3)), np.empty(number, np.uint8)
-    way, gap = trajectory.arrays, limits.max_gap_ns
-    posed, pose = pose_at(way, gap, scan.stamp_ns)
+    path, gap = trajectory.arrays, limits.max_gap_ns
+    posed, pose = pose_at(path, gap, scan.stamp_ns)
     _place_blocks(
-        source_of(scan.points), scan.times, scan.offsets_ns is not None, scan.stamp_ns, way, gap, posed, pose,
-        point_rules(scan, noise, limits), np.zeros((PLANES, STRIDE)), np.zeros(BLOCK, np.uint8),
+        source_of(scan.points), scan.times, scan.offsets_ns is not None, scan.stamp_ns, path, gap, posed, pose,
+        scan_rules(scan, noise, limits), np.zeros((PLANES, STRIDE)), np.zeros(BLOCK, np.uint8),
         np.zeros(BLOCK, np.int64), points, covariance, reason,
     )  # fmt: skip
     return points, covariance, reason

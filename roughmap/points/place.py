@@ -1,6 +1,6 @@
-"""Kernels of eq. 1: blocks of points from the sensor's frame into the map's, with covariances and reasons.
+"""Kernels of eq. 1: transform blocks of points from the sensor's frame to the map's, with covariances and reasons.
 
-Everything is written out in a fixed order, so that a point gets the same bits in whatever block it comes.
+All arithmetic is written out in a fixed order: a point gets the same bits in any block.
 """
 
 import math
@@ -12,7 +12,8 @@ from roughmap.arrays import F8, I8, U1, Scalar
 from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS, PointReason
 from roughmap.intrinsics import pointer
 from roughmap.jit import inline, kernel
-from roughmap.points.propagation import point_covariance, spread, turn
+from roughmap.points.propagation import point_covariance, rotate, shared_terms
+from roughmap.points.rotations import rotation_matrix
 from roughmap.points.trajectory import (
     covariance_at,
     find_bracket,
@@ -20,35 +21,33 @@ from roughmap.points.trajectory import (
     pose_pair,
     position_at,
     quaternion_at,
-    rotation_matrix,
 )
 
 BLOCK = 256
-"""Points that go through the kernels together: their planes stay in the nearest caches.
+"""Points that go through the kernels together; their planes stay in the first-level caches.
 
-A block is always worked on whole, also the last one of a scan: a loop whose length is known when it is compiled leaves
-no remainder to be worked on point by point. What lies past the last point is nobody's.
+Loops always run over the whole block, even for the last points of a scan: a loop of constant length vectorises without
+a remainder. The values past the last point are not used.
 """
 
 STEP = 16
-"""Runs of points with the same bracket are widened to multiples of this, for the same reason."""
+"""Runs of points with the same bracket are extended to multiples of this length, for the same reason."""
 
-_OUT, _DONE = -1, -2
-"""Brackets of points that have no pose, and of those that have been placed."""
+_NO_BRACKET, _PLACED = -1, -2
+"""Values of ``bracket`` for points without a pose and for points already placed."""
 
 STRIDE = BLOCK + 8
-"""Numbers from one plane of a block to the next: with a power of two all planes would compete for the same few lines of
-the cache."""
+"""Distance between the planes of a block, in numbers. With a power of two all planes would share a few cache lines."""
 
 X, Y, Z = 0, 1, 2
-_WHY, _OWN = 3, 4
+_REASON, _BRACKET = 3, 4
 _LEVER, _BEAM, _SQUARE = 5, 8, 11
-_SINCE, _UNTIL, _ALONG, _TURN = 12, 13, 14, 15
+_SINCE, _UNTIL, _FRACTION, _QUAT = 12, 13, 14, 15
 S = 19
 PLANES = 25
-"""Rows of a block's planes (PLANES, STRIDE): the place (X to Z); the reason and the bracket of each point, as floats;
-both levers and the squared range; the times since the pose before and until the one after, the part of the way between
-them and the quaternion there; the upper triangle of the covariance (S and five more)."""
+"""Rows of a block's planes (PLANES, STRIDE): position (X to Z); reason and bracket of each point, as floats; both
+levers and the squared range; times since the pose before and until the pose after, the fraction between them and the
+quaternion there; upper triangle of the covariance (S and five more)."""
 
 _NOT_FINITE = float(PointReason.NOT_FINITE)
 _NO_RETURN = float(PointReason.NO_RETURN)
@@ -60,8 +59,8 @@ _CEILING = float(PointReason.CEILING)
 
 
 @inline
-def _judge(before: Scalar, x: Scalar, y: Scalar, z: Scalar, square: Scalar, m: Scalar, limits: Scalar) -> Scalar:
-    """The first reason that holds, given what was found ``before`` (0, time, no_pose or self)."""
+def _first_reason(before: Scalar, x: Scalar, y: Scalar, z: Scalar, square: Scalar, m: Scalar, limits: Scalar) -> Scalar:
+    """Return the first reason that applies; ``before`` is the one found earlier (0, time, no_pose or self)."""
     r = math.sqrt(square)
     over = m[2] > limits[2] + limits[3] * math.sqrt(m[0] * m[0] + m[1] * m[1])
     outside = (r < limits[0]) | (r > limits[1])
@@ -73,40 +72,40 @@ def _judge(before: Scalar, x: Scalar, y: Scalar, z: Scalar, square: Scalar, m: S
 
 
 @inline
-def _fixed(planes: F8) -> F8:
-    """The same planes, of a shape that the compiler knows.
+def _fixed_shape(planes: F8) -> F8:
+    """Return the same planes with a constant shape.
 
-    It then sees by itself that rows do not overlap; tests of that at run time cost more than short loops do, and past
-    128 of them a loop is not vectorised.
+    The compiler then proves that the rows do not overlap. Checks at run time cost more than the short loops themselves,
+    and beyond 128 checks a loop is not vectorised.
     """
     return carray(pointer(np.uint64(planes.ctypes.data), np.float64(0.0)), (PLANES, STRIDE))
 
 
 @inline
-def _exclude(P: F8, mounting: Scalar, boxes: F8) -> None:
-    """Mark the points that lie in one of the robot's own boxes."""
+def _reject_own_body(P: F8, mounting: Scalar, boxes: F8) -> None:
+    """Reject the points inside one of the robot's own boxes."""
     for b in range(len(boxes)):
         x0, y0, z0, x1, y1, z1 = boxes[b, 0], boxes[b, 1], boxes[b, 2], boxes[b, 3], boxes[b, 4], boxes[b, 5]
         for n in range(BLOCK):
-            v = turn(mounting, P[X, n], P[Y, n], P[Z, n])
+            v = rotate(mounting, P[X, n], P[Y, n], P[Z, n])
             bx = mounting[9] + v[0]
             by = mounting[10] + v[1]
             bz = mounting[11] + v[2]
             inside = (bx >= x0) & (bx <= x1) & (by >= y0) & (by <= y1) & (bz >= z0) & (bz <= z1)
-            P[_WHY, n] = _SELF if inside & (P[_WHY, n] == 0.0) else P[_WHY, n]
+            P[_REASON, n] = _SELF if inside & (P[_REASON, n] == 0.0) else P[_REASON, n]
 
 
 @inline
 def _place(P: F8, n: Scalar, r: Scalar, t: Scalar, own: Scalar, mounting: Scalar, limits: Scalar) -> None:
-    """Place point ``n`` with the pose r, t if it is that one's ``own``; its levers and what it is rejected for."""
-    x, y, z, before = P[X, n], P[Y, n], P[Z, n], P[_WHY, n]
-    v = turn(mounting, x, y, z)
-    l = turn(r, mounting[9] + v[0], mounting[10] + v[1], mounting[11] + v[2])  # noqa: E741
-    m = turn(r, v[0], v[1], v[2])
+    """Place point ``n`` with the pose r, t if it belongs to that pose (``own``); set its levers and its reason."""
+    x, y, z, before = P[X, n], P[Y, n], P[Z, n], P[_REASON, n]
+    v = rotate(mounting, x, y, z)
+    l = rotate(r, mounting[9] + v[0], mounting[10] + v[1], mounting[11] + v[2])  # noqa: E741
+    m = rotate(r, v[0], v[1], v[2])
     square = x * x + y * y + z * z
-    why = _judge(before, x, y, z, square, m, limits)
+    reason = _first_reason(before, x, y, z, square, m, limits)
     px, py, pz = t[0] + l[0], t[1] + l[1], t[2] + l[2]
-    P[_WHY, n] = why if own else before
+    P[_REASON, n] = reason if own else before
     P[X, n] = px if own else x
     P[Y, n] = py if own else y
     P[Z, n] = pz if own else z
@@ -120,8 +119,8 @@ def _place(P: F8, n: Scalar, r: Scalar, t: Scalar, own: Scalar, mounting: Scalar
 
 
 @inline
-def _cover(P: F8, n: Scalar, own: Scalar, beam: Scalar, common: Scalar) -> None:
-    """The covariance of point ``n``, if it is the pose's ``own``, from the levers that `_place` left."""
+def _set_covariance(P: F8, n: Scalar, own: Scalar, beam: Scalar, common: Scalar) -> None:
+    """Set the covariance of point ``n``, if it belongs to the pose (``own``), from the levers that `_place` wrote."""
     l = (P[_LEVER, n], P[_LEVER + 1, n], P[_LEVER + 2, n])  # noqa: E741
     m = (P[_BEAM, n], P[_BEAM + 1, n], P[_BEAM + 2, n])
     s = point_covariance(l, m, P[_SQUARE, n], beam, common)
@@ -136,35 +135,38 @@ def _cover(P: F8, n: Scalar, own: Scalar, beam: Scalar, common: Scalar) -> None:
 
 @inline
 def place_still(planes: F8, reason: U1, with_covariance: bool, posed: bool, pose: Scalar, rules: Scalar) -> None:
-    """One block of points, all placed with one pose (or none: ``posed`` False).
+    """Place one block of points with a single pose (``posed`` False: there is none).
 
-    ``planes`` (PLANES, STRIDE): rows X, Y, Z hold places in the sensor's frame, and then in the map's; rows from S on
-    the upper triangles of their covariances; of rejected points they say nothing. ``reason`` (BLOCK,) is set.
-    ``rules``: what `point_rules` gives.
+    ``planes`` (PLANES, STRIDE): rows X, Y, Z hold positions in the sensor's frame on entry and in the map frame on
+    return; rows from S on receive the upper triangles of the covariances. Both are undefined for rejected points.
+    ``reason`` (BLOCK,) is set. ``rules``: see `scan_rules`.
     """
-    P = _fixed(planes)
+    P = _fixed_shape(planes)
     mounting, beam, mount, limits, boxes = rules
     for n in range(BLOCK):
-        P[_WHY, n] = 0.0 if posed else _NO_POSE
-    _exclude(P, mounting, boxes)
+        P[_REASON, n] = 0.0 if posed else _NO_POSE
+    _reject_own_body(P, mounting, boxes)
     t = (pose[9], pose[10], pose[11])
     for n in range(BLOCK):
         _place(P, n, pose, t, True, mounting, limits)
     if with_covariance:
-        common = spread(pose, mount)
+        common = shared_terms(pose, mount)
         for n in range(BLOCK):
-            _cover(P, n, True, beam, common)
+            _set_covariance(P, n, True, beam, common)
     for n in range(BLOCK):
-        reason[n] = np.uint8(P[_WHY, n])
+        reason[n] = np.uint8(P[_REASON, n])
 
 
 @inline
-def _find_pairs(
+def _find_brackets(
     P: F8, offsets: I8, first: Scalar, size: Scalar, bracket: I8, stamp: Scalar, stamps: I8, max_gap_ns: Scalar
 ) -> None:
-    """The bracket of each point's own time: 2 * index, + 1 if it is that pose's own stamp, or _OUT with a reason."""
+    """Find the bracket of each point's time: 2 * index of the pose before, + 1 if the time is that pose's own stamp.
+
+    Points without a pose get _NO_BRACKET and a reason.
+    """
     for n in range(BLOCK):
-        P[_OWN, n] = -1.0
+        P[_BRACKET, n] = -1.0
         P[_SINCE, n] = 0.0
         P[_UNTIL, n] = 0.0
     low, before, after, linked = find_bracket(stamps, stamp, max_gap_ns)
@@ -177,43 +179,43 @@ def _find_pairs(
         exact = t == before
         if (linked or exact) and not off:
             bracket[n] = 2 * low + (np.int64(1) if exact else np.int64(0))
-            P[_WHY, n] = 0.0
-            P[_OWN, n] = float(bracket[n])
+            P[_REASON, n] = 0.0
+            P[_BRACKET, n] = float(bracket[n])
             P[_SINCE, n] = float(t - before)
             P[_UNTIL, n] = float(after - t)
         else:
-            bracket[n] = _OUT
-            P[_WHY, n] = _TIME if off else _NO_POSE
+            bracket[n] = _NO_BRACKET
+            P[_REASON, n] = _TIME if off else _NO_POSE
 
 
 @inline
 def _place_run(
     P: F8, which: Scalar, pair: Scalar, low: Scalar, high: Scalar, with_covariance: Scalar, rules: Scalar
 ) -> None:
-    """Place the points whose times lie in bracket ``which``; they are among those from ``low`` to ``high``."""
+    """Place those points from ``low`` to ``high`` whose times lie in bracket ``which``."""
     mounting, beam, mount, limits, _ = rules
     own = float(which)
     for first in range(low, high, STEP):
         for k in range(STEP):
             n = np.uint64(first) + np.uint64(k)
             q, u = quaternion_at(pair, P[_SINCE, n], P[_UNTIL, n])
-            P[_ALONG, n] = u
-            P[_TURN, n] = q[0]
-            P[_TURN + 1, n] = q[1]
-            P[_TURN + 2, n] = q[2]
-            P[_TURN + 3, n] = q[3]
+            P[_FRACTION, n] = u
+            P[_QUAT, n] = q[0]
+            P[_QUAT + 1, n] = q[1]
+            P[_QUAT + 2, n] = q[2]
+            P[_QUAT + 3, n] = q[3]
     for first in range(low, high, STEP):
         for k in range(STEP):
             n = np.uint64(first) + np.uint64(k)
-            r = rotation_matrix(P[_TURN, n], P[_TURN + 1, n], P[_TURN + 2, n], P[_TURN + 3, n])
-            _place(P, n, r, position_at(pair, P[_ALONG, n]), P[_OWN, n] == own, mounting, limits)
+            r = rotation_matrix(P[_QUAT, n], P[_QUAT + 1, n], P[_QUAT + 2, n], P[_QUAT + 3, n])
+            _place(P, n, r, position_at(pair, P[_FRACTION, n]), P[_BRACKET, n] == own, mounting, limits)
     if with_covariance:
         for first in range(low, high, STEP):
             for k in range(STEP):
                 n = np.uint64(first) + np.uint64(k)
-                r = rotation_matrix(P[_TURN, n], P[_TURN + 1, n], P[_TURN + 2, n], P[_TURN + 3, n])
-                pose = (*r, 0.0, 0.0, 0.0, *covariance_at(pair, P[_ALONG, n]))
-                _cover(P, n, P[_OWN, n] == own, beam, spread(pose, mount))
+                r = rotation_matrix(P[_QUAT, n], P[_QUAT + 1, n], P[_QUAT + 2, n], P[_QUAT + 3, n])
+                pose = (*r, 0.0, 0.0, 0.0, *covariance_at(pair, P[_FRACTION, n]))
+                _set_covariance(P, n, P[_BRACKET, n] == own, beam, shared_terms(pose, mount))
 
 
 @inline
@@ -226,19 +228,19 @@ def place_moving(
     bracket: I8,
     with_covariance: bool,
     stamp: int,
-    way: Scalar,
+    path: Scalar,
     max_gap_ns: float,
     rules: Scalar,
 ) -> None:
-    """One block of points, each placed with the pose at its own time ``stamp + offset``. Otherwise `place_still`.
+    """Place one block of points, each with the pose at its own time ``stamp + offset``; otherwise as `place_still`.
 
-    ``offsets`` are those of the scan, of which the block holds ``size`` from ``first`` on. Neighbours mostly lie
-    between the same two poses: run after run of such is worked on by loops without a branch.
+    ``offsets``: those of the whole scan; the block holds ``size`` of them from ``first`` on. Neighbouring points mostly
+    lie between the same two poses, so runs of such points are placed by loops without branches.
     """
-    P = _fixed(planes)
+    P = _fixed_shape(planes)
     mounting, _, _, limits, boxes = rules
-    _find_pairs(P, offsets, first, size, bracket, stamp, way[0], max_gap_ns)
-    _exclude(P, mounting, boxes)
+    _find_brackets(P, offsets, first, size, bracket, stamp, path[0], max_gap_ns)
+    _reject_own_body(P, mounting, boxes)
     start = 0
     while start < size:
         which = bracket[start]
@@ -246,33 +248,33 @@ def place_moving(
         while stop < size and bracket[stop] == which:
             stop += 1
         if which >= 0:
-            pair = pose_pair(way, which >> 1, which & 1 == 1)
+            pair = pose_pair(path, which >> 1, which & 1 == 1)
             low, high = start // STEP * STEP, (stop + STEP - 1) // STEP * STEP
             _place_run(P, which, pair, low, high, with_covariance, rules)
-            for n in range(start, high):  # also those that came in between others
-                bracket[n] = _DONE if bracket[n] == which else bracket[n]
-        elif which == _OUT:
+            for n in range(start, high):  # also points of this bracket after the run
+                bracket[n] = _PLACED if bracket[n] == which else bracket[n]
+        elif which == _NO_BRACKET:
             for n in range(start, stop):
                 x, y, z = P[X, n], P[Y, n], P[Z, n]
-                v = turn(mounting, x, y, z)
-                P[_WHY, n] = _judge(P[_WHY, n], x, y, z, x * x + y * y + z * z, v, limits)
+                v = rotate(mounting, x, y, z)
+                P[_REASON, n] = _first_reason(P[_REASON, n], x, y, z, x * x + y * y + z * z, v, limits)
         start = stop
     for n in range(BLOCK):
-        reason[n] = np.uint8(P[_WHY, n])
+        reason[n] = np.uint8(P[_REASON, n])
 
 
 @kernel
 def pose_at(
-    way: Scalar,
+    path: Scalar,
     max_gap_ns: float,
     t: int,
 ) -> Scalar:
-    """Whether there is a pose at ``t``, and its 33 numbers (those of the first pose where there is none)."""
-    low, before, _, linked = find_bracket(way[0], t, max_gap_ns)
+    """Return whether there is a pose at ``t``, and its 33 numbers (those of the first pose if there is none)."""
+    low, before, _, linked = find_bracket(path[0], t, max_gap_ns)
     posed = linked or (low >= 0 and t == before)
     pose = interpolate(
-        way,
+        path,
         low if posed else np.int64(0),
-        t if posed else way[0][0],
+        t if posed else path[0][0],
     )
     return posed, pose

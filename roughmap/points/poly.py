@@ -1,8 +1,8 @@
-"""Sine and arc tangent by our own polynomials.
+"""Sine and arc tangent as polynomials, with the same bits on every machine.
 
-No function of the C library but ``sqrt`` stands on the way to a cell: glibc chooses among variants by CPU, and their
-last bits differ. The coefficients are Chebyshev interpolants made at 60 digits and rounded to float64; Horner's rule
-in a fixed order does the rest, so that the bits are the same on every machine.
+From point to cell no function of the C library is used but ``sqrt``: glibc chooses variants by CPU, and their last bits
+differ. The coefficients are Chebyshev interpolants computed at 60 digits and rounded to float64, evaluated by Horner's
+rule in a fixed order.
 """
 
 import math
@@ -11,12 +11,12 @@ from roughmap.arrays import Scalar
 from roughmap.jit import inline
 
 _TAN_EIGHTH_TURN = math.sqrt(2.0) - 1.0
-"""tan(pi / 8): beyond it the arc tangent is turned by pi / 4, which keeps the polynomial short."""
+"""tan(pi / 8). Beyond it the argument is rotated by pi / 4, which keeps the polynomial short."""
 
 
 @inline
 def sinc_of_square(s: Scalar) -> Scalar:
-    """sin(x) / x for s = x^2 in [0, (pi/2)^2]. Interpolant within 2.1e-19, as computed within 2.3e-16."""
+    """Return sin(x) / x for s = x^2 in [0, (pi/2)^2]. The interpolant is within 2.1e-19, the result within 2.3e-16."""
     p = 2.7215713949149307e-15
     p = p * s - 7.64302622970216e-13
     p = p * s + 1.6058940866200353e-10
@@ -30,7 +30,7 @@ def sinc_of_square(s: Scalar) -> Scalar:
 
 @inline
 def _small_arctan(t: Scalar) -> Scalar:
-    """atan(t) for |t| <= tan(pi/8). Interpolant of atan(t)/t within 1.3e-18."""
+    """Return atan(t) for |t| <= tan(pi/8). The interpolant of atan(t) / t is within 1.3e-18."""
     s = t * t
     p = -0.017803896394812564
     p = p * s + 0.03796390316111083
@@ -48,11 +48,11 @@ def _small_arctan(t: Scalar) -> Scalar:
 
 @inline
 def angle(c: Scalar, s: Scalar) -> Scalar:
-    """atan2(s, c) for s >= 0, in [0, pi]; c and s are not both zero. As computed within 3e-16 relative."""
+    """Return atan2(s, c) for s >= 0, in [0, pi]; c and s must not both be zero. Relative error within 3e-16."""
     x = abs(c)
     low = s if s < x else x
     high = x if s < x else s
-    # One quotient and one polynomial for both cases: a choice of numbers, no branch, so that loops are vectorised.
+    # Select the operands, not the code path: without a branch, loops vectorise.
     beyond = low > _TAN_EIGHTH_TURN * high
     top = low - high if beyond else low
     bottom = low + high if beyond else high

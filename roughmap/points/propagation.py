@@ -7,8 +7,8 @@ from roughmap.jit import inline
 
 
 @inline
-def turn(m: Scalar, x: Scalar, y: Scalar, z: Scalar) -> Scalar:
-    """The 3x3 matrix in the first nine numbers of ``m``, times a vector."""
+def rotate(m: Scalar, x: Scalar, y: Scalar, z: Scalar) -> Scalar:
+    """Multiply the 3x3 matrix in the first nine numbers of ``m`` by a vector."""
     return (
         m[0] * x + m[1] * y + m[2] * z,
         m[3] * x + m[4] * y + m[5] * z,
@@ -17,8 +17,8 @@ def turn(m: Scalar, x: Scalar, y: Scalar, z: Scalar) -> Scalar:
 
 
 @inline
-def _turned_diagonal(r: Scalar, a: Scalar, b: Scalar, c: Scalar) -> Scalar:
-    """Upper triangle of R diag(a, b, c) R^T."""
+def _rotated_diagonal(r: Scalar, a: Scalar, b: Scalar, c: Scalar) -> Scalar:
+    """Return the upper triangle of R diag(a, b, c) R^T."""
     return (
         r[0] * r[0] * a + r[1] * r[1] * b + r[2] * r[2] * c,
         r[0] * r[3] * a + r[1] * r[4] * b + r[2] * r[5] * c,
@@ -30,14 +30,14 @@ def _turned_diagonal(r: Scalar, a: Scalar, b: Scalar, c: Scalar) -> Scalar:
 
 
 @inline
-def spread(pose: Scalar, mount: Scalar) -> Scalar:
-    """What of the covariance is the same for all points of a pose, 27 numbers.
+def shared_terms(pose: Scalar, mount: Scalar) -> Scalar:
+    """Return the terms of the covariance that all points of a pose share, 27 numbers.
 
-    A (6, upper): translation block of S_pose + of S_mount turned into map axes; B (9): translation-rotation block of
-    S_pose; C (6): its rotation block; D (6): rotation block of S_mount in map axes.
+    A (6, upper triangle): translation block of S_pose plus that of S_mount in map axes; B (9): translation-rotation
+    block of S_pose; C (6): rotation block of S_pose; D (6): rotation block of S_mount in map axes.
     """
-    shift = _turned_diagonal(pose, mount[0], mount[1], mount[2])
-    tilt = _turned_diagonal(pose, mount[3], mount[4], mount[5])
+    shift = _rotated_diagonal(pose, mount[0], mount[1], mount[2])
+    tilt = _rotated_diagonal(pose, mount[3], mount[4], mount[5])
     return (
         pose[12] + shift[0],
         pose[13] + shift[1],
@@ -71,7 +71,7 @@ def spread(pose: Scalar, mount: Scalar) -> Scalar:
 
 @inline
 def _lever_square(c0: Scalar, c1: Scalar, c2: Scalar, c3: Scalar, c4: Scalar, c5: Scalar, l: Scalar) -> Scalar:  # noqa: E741
-    """Upper triangle of K C K^T with K = -[l]x and C given by its upper triangle."""
+    """Return the upper triangle of K C K^T with K = -[l]x; C is given by its upper triangle."""
     x, y, z = l
     # D = C K^T, row by row; K^T has the columns (0, lz, -ly), (-lz, 0, lx), (ly, -lx, 0).
     d01 = c2 * x - c0 * z
@@ -94,14 +94,14 @@ def _lever_square(c0: Scalar, c1: Scalar, c2: Scalar, c3: Scalar, c4: Scalar, c5
 
 @inline
 def point_covariance(l: Scalar, m: Scalar, square: Scalar, beam: Scalar, s: Scalar) -> Scalar:  # noqa: E741
-    """Upper triangle of S (eq. 1) from the levers l and l_m, the squared range, and the pose's `spread`."""
+    """Return the upper triangle of S (eq. 1) from the levers l and l_m, the squared range and `shared_terms`."""
     sr = beam[0] + beam[1] * math.sqrt(square)
     across = beam[2] * beam[2] * square
     along = (sr * sr - across) / square
     x, y, z = l
     pose = _lever_square(s[15], s[16], s[17], s[18], s[19], s[20], l)
     mount = _lever_square(s[21], s[22], s[23], s[24], s[25], s[26], m)
-    # B K^T: row i is (b1 z - b2 y, b2 x - b0 z, b0 y - b1 x); S takes it and its transpose.
+    # B K^T: row i is (b1 z - b2 y, b2 x - b0 z, b0 y - b1 x); S gets this and its transpose.
     b00 = s[7] * z - s[8] * y
     b01 = s[8] * x - s[6] * z
     b02 = s[6] * y - s[7] * x

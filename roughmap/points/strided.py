@@ -1,4 +1,4 @@
-"""Points as they lie in a message, whatever their type, stride and alignment, read by address: one kernel for all."""
+"""Points read in place from a message, by address: one kernel serves every type, stride and alignment."""
 
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ from roughmap.points.place import X, Y, Z
 
 
 class Source(NamedTuple):
-    """Where points (N, 3) lie: address, bytes from row to row and from column to column, whether they are float64."""
+    """Memory of points (N, 3): address, bytes between rows and between columns, float64 or float32."""
 
     address: np.uint64
     row: np.int64
@@ -23,7 +23,7 @@ class Source(NamedTuple):
 
 
 def source_of(points: npt.NDArray[np.floating]) -> Source:
-    """The place of native float32 or float64 points; valid as long as they are alive."""
+    """Describe the memory of native float32 or float64 points; valid while ``points`` is alive."""
     row, column = points.strides
     return Source(
         np.uint64(points.__array_interface__["data"][0]), np.int64(row), np.int64(column), points.dtype == np.float64
@@ -31,7 +31,7 @@ def source_of(points: npt.NDArray[np.floating]) -> Source:
 
 
 def _loader(number: types.Float, width: ir.Type) -> Any:
-    def load(typingctx: Any, address: Any) -> Any:  # noqa: ARG001 - numba's calling form
+    def load(typingctx: Any, address: Any) -> Any:  # noqa: ARG001 - numba's calling convention
         def codegen(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:  # noqa: ARG001
             return builder.load(builder.inttoptr(args[0], width.as_pointer()), align=1)
 
@@ -46,7 +46,7 @@ _float64 = _loader(types.float64, ir.DoubleType())
 
 @inline
 def read_points(source: Scalar, first: Scalar, size: Scalar, planes: F8) -> None:
-    """``size`` points from number ``first`` on into the rows X, Y, Z of a block's planes."""
+    """Read ``size`` points, starting at number ``first``, into the rows X, Y, Z of a block's planes."""
     row, column = np.uint64(source.row), np.uint64(source.column)
     at = source.address + np.uint64(first) * row
     if source.double:

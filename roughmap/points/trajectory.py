@@ -1,53 +1,33 @@
-"""The robot's way: poses with covariances, and the pose at any time between them."""
+"""The robot's trajectory: poses with covariances, and the pose interpolated at any time between them."""
 
 import math
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from roughmap.arrays import F8, I8, Scalar
 from roughmap.jit import inline, kernel
+from roughmap.points.checks import checked_floats
 from roughmap.points.poly import angle, sinc_of_square
-
-QUATERNION_LEAST_NORM = 1e-6
-"""A quaternion shorter than this says nothing about a rotation; it is refused."""
+from roughmap.points.rotations import rotation_matrix, unit_quaternions
 
 _STAMP_LIMIT = 1 << 62
-"""Differences of stamps within this fit int64."""
+"""Stamps below this limit have differences that fit int64."""
 
 _FIRST, _LAST = -(1 << 63), (1 << 63) - 1
-"""Before and after all stamps."""
+"""Before and after any stamp."""
 
 UPPER = [(row, column) for row in range(6) for column in range(row, 6)]
-"""The 21 entries of a pose covariance that are read: its upper triangle, row by row."""
-
-
-@inline
-def rotation_matrix(x: Scalar, y: Scalar, z: Scalar, w: Scalar) -> Scalar:
-    """The nine entries, row by row, of the rotation by a unit quaternion."""
-    return (
-        1.0 - 2.0 * (y * y + z * z),
-        2.0 * (x * y - z * w),
-        2.0 * (x * z + y * w),
-        2.0 * (x * y + z * w),
-        1.0 - 2.0 * (x * x + z * z),
-        2.0 * (y * z - x * w),
-        2.0 * (x * z - y * w),
-        2.0 * (y * z + x * w),
-        1.0 - 2.0 * (x * x + y * y),
-    )
-
-
-@kernel
-def matrix_of(rotation: F8) -> Scalar:
-    """The nine entries of the rotation by one unit quaternion (4,) xyzw."""
-    return rotation_matrix(rotation[0], rotation[1], rotation[2], rotation[3])
+"""The 21 entries of a pose covariance that are used: its upper triangle, row by row."""
 
 
 @kernel
 def _half_angles(rotation: F8, theta: F8, flip: F8, inverse_sinc: F8) -> None:
-    """For each bracket: the angle between its quaternions (shorter arc), the sign of the second, 1 / sinc(angle)."""
+    """For each pair of successive poses, compute what slerp needs.
+
+    ``theta``: the angle between the two quaternions along the shorter arc; ``flip``: the sign of the second quaternion;
+    ``inverse_sinc``: 1 / sinc(theta).
+    """
     for m in range(len(theta)):
         dot = 0.0
         for c in range(4):
@@ -67,8 +47,10 @@ def _half_angles(rotation: F8, theta: F8, flip: F8, inverse_sinc: F8) -> None:
 
 @inline
 def find_bracket(stamps: I8, t: Scalar, max_gap_ns: Scalar) -> Scalar:
-    """The last pose at or before ``t``, or -1; the times from which and until which that holds; whether times between
-    them have a pose: only if there is a next one, not farther away than ``max_gap_ns``.
+    """Find the two poses around ``t``.
+
+    Returns the index of the last pose at or before ``t`` (-1 if none), the stamps of that pose and of the next one, and
+    whether times between them can be interpolated: both poses exist and are at most ``max_gap_ns`` apart.
     """
     size = len(stamps)
     low = -1
@@ -86,14 +68,15 @@ def find_bracket(stamps: I8, t: Scalar, max_gap_ns: Scalar) -> Scalar:
 
 
 @inline
-def pose_pair(way: Scalar, low: Scalar, exact: Scalar) -> Scalar:
-    """What `quaternion_at`, `position_at` and `covariance_at` take: the poses around times that have one bracket.
+def pose_pair(path: Scalar, low: Scalar, exact: Scalar) -> Scalar:
+    """Gather pose ``low`` and the next one for `quaternion_at`, `position_at` and `covariance_at`.
 
-    ``way``: `Trajectory.arrays`. ``exact``: the times are the stamp of ``low``, and there may be no next pose.
+    ``path``: `Trajectory.arrays`. ``exact``: the time asked for is the stamp of pose ``low``; there may be no next
+    pose.
     """
-    stamps, position, rotation, covariance, theta, flip, inverse_sinc = way
+    stamps, position, rotation, covariance, theta, flip, inverse_sinc = path
     high = low if exact else low + 1
-    # Without a next pose nothing is read of the bracket, and the two weights are 1 and 0.
+    # With an exact stamp the weights are 1 and 0, and nothing is read of a next pose.
     turn = (0.0, 1.0, 1.0) if exact else (theta[low], flip[low], inverse_sinc[low])
     p, q, c = position, rotation, covariance
     return (
@@ -107,10 +90,10 @@ def pose_pair(way: Scalar, low: Scalar, exact: Scalar) -> Scalar:
 
 @inline
 def quaternion_at(pair: Scalar, since: Scalar, until: Scalar) -> Scalar:
-    """The rotation ``since`` ns after the first pose and ``until`` before the second, a unit quaternion, and how far
-    that is on the way, 0 to 1.
+    """Interpolate the rotation ``since`` ns after the first pose and ``until`` ns before the second.
 
-    Slerp: q = (1 - u) sinc((1 - u) th) / sinc(th) q0 + u sinc(u th) / sinc(th) q1, then normalised.
+    Returns a unit quaternion and the elapsed fraction u of the interval, 0 to 1. Slerp:
+    q = (1 - u) sinc((1 - u) th) / sinc(th) q0 + u sinc(u th) / sinc(th) q1, then normalised.
     """
     (span, exact), (theta, flip, inverse_sinc), (q0, q1), _, _ = pair
     u = 0.0 if exact else since / span
@@ -129,14 +112,14 @@ def quaternion_at(pair: Scalar, since: Scalar, until: Scalar) -> Scalar:
 
 @inline
 def position_at(pair: Scalar, u: Scalar) -> Scalar:
-    """The position, linear between the two poses."""
+    """Interpolate the position linearly."""
     start, rise = pair[3]
     return start[0] + rise[0] * u, start[1] + rise[1] * u, start[2] + rise[2] * u
 
 
 @inline
 def covariance_at(pair: Scalar, u: Scalar) -> Scalar:
-    """The covariance (21, `UPPER`), linear between the two poses."""
+    """Interpolate the covariance linearly; 21 numbers in the order of `UPPER`."""
     c, d = pair[4]
     return (
         c[0] + d[0] * u,
@@ -164,11 +147,11 @@ def covariance_at(pair: Scalar, u: Scalar) -> Scalar:
 
 
 @inline
-def interpolate(way: Scalar, low: Scalar, t: Scalar) -> Scalar:
-    """The pose at ``t`` in the bracket that begins at ``low``: 33 numbers, R (9), t (3), covariance (21, `UPPER`)."""
-    stamps = way[0]
+def interpolate(path: Scalar, low: Scalar, t: Scalar) -> Scalar:
+    """Return the pose at ``t``, between pose ``low`` and the next: R (9), t (3), covariance (21, `UPPER`)."""
+    stamps = path[0]
     exact = stamps[low] == t
-    pair = pose_pair(way, low, exact)
+    pair = pose_pair(path, low, exact)
     until = 0.0 if exact else float(stamps[low + 1] - t)
     q, u = quaternion_at(pair, float(t - stamps[low]), until)
     return (*rotation_matrix(*q), *position_at(pair, u), *covariance_at(pair, u))
@@ -228,41 +211,14 @@ def _rise(c: F8, low: Scalar, high: Scalar) -> Scalar:
     )
 
 
-def float_array(value: npt.ArrayLike, shape: tuple[int, ...], name: str) -> F8:
-    """``value`` as a contiguous float64 array of finite numbers of this shape, else ValueError."""
-    try:
-        array = np.array(value, np.float64, order="C")
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: expected an array of numbers of shape {shape}") from error
-    if array.shape != shape:
-        raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers")
-    return array
-
-
-def unit_quaternions(rotation: F8, name: str) -> F8:
-    """(M, 4) quaternions xyzw, normalised; ValueError where a norm is below 1e-6."""
-    x, y, z, w = rotation.T
-    # Divided by the largest part first, so that no square over- or underflows.
-    largest = np.maximum(np.maximum(abs(x), abs(y)), np.maximum(abs(z), abs(w)))
-    if (largest < QUATERNION_LEAST_NORM / 2).any():
-        raise ValueError(f"{name}: expected quaternions x, y, z, w of norm at least {QUATERNION_LEAST_NORM}")
-    x, y, z, w = x / largest, y / largest, z / largest, w / largest
-    norm = np.sqrt(x * x + y * y + z * z + w * w)
-    if (norm * largest < QUATERNION_LEAST_NORM).any():
-        raise ValueError(f"{name}: expected quaternions x, y, z, w of norm at least {QUATERNION_LEAST_NORM}")
-    return np.ascontiguousarray(np.stack([x / norm, y / norm, z / norm, w / norm], axis=1))
-
-
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses of the robot's base in the map frame.
+    """Poses of the robot's base in the map frame, M >= 1.
 
-    ``stamp_ns`` (M,) int64, strictly rising; ``position`` (M, 3) metres; ``rotation`` (M, 4) quaternions x, y, z, w
-    (normalised here); ``covariance`` (M, 6, 6), order x y z roll pitch yaw, about the map's axes: the true pose is
-    (Exp(dtheta) R, t + dt). Only its upper triangle is read. M >= 1; else, or for numbers that are not finite,
-    ValueError.
+    ``stamp_ns`` (M,) int64, strictly increasing; ``position`` (M, 3) metres; ``rotation`` (M, 4) quaternions x, y, z,
+    w, normalised here; ``covariance`` (M, 6, 6) in the order x y z roll pitch yaw, about the map's axes: the true pose
+    is (Exp(dtheta) R, t + dt). Only the upper triangle is used. ValueError for other shapes and for numbers that are
+    not finite.
     """
 
     stamp_ns: I8
@@ -276,18 +232,18 @@ class Trajectory:
         if stamps.ndim != 1 or not len(stamps) or stamps.dtype.kind not in "iu":
             raise ValueError("Trajectory.stamp_ns: expected a one-dimensional array of at least one integer")
         if stamps.dtype.kind == "u" and int(stamps.max()) > np.iinfo(np.int64).max:
-            raise ValueError("Trajectory.stamp_ns: expected integers of 64 bits, signed")
+            raise ValueError("Trajectory.stamp_ns: expected signed 64-bit integers")
         stamps = np.array(stamps, np.int64)
-        if stamps.min() <= -_STAMP_LIMIT or stamps.max() >= _STAMP_LIMIT:  # or a difference may overflow
+        if stamps.min() <= -_STAMP_LIMIT or stamps.max() >= _STAMP_LIMIT:  # differences must not overflow
             raise ValueError("Trajectory.stamp_ns: expected stamps within 2^62 ns of the epoch")
         if (stamps[1:] <= stamps[:-1]).any():
-            raise ValueError("Trajectory.stamp_ns: expected strictly rising stamps")
+            raise ValueError("Trajectory.stamp_ns: expected strictly increasing stamps")
         number = len(stamps)
-        rotation = float_array(self.rotation, (number, 4), "Trajectory.rotation")
-        covariance = float_array(self.covariance, (number, 6, 6), "Trajectory.covariance")
+        rotation = checked_floats(self.rotation, (number, 4), "Trajectory.rotation")
+        covariance = checked_floats(self.covariance, (number, 6, 6), "Trajectory.covariance")
         put = object.__setattr__
         put(self, "stamp_ns", stamps)
-        put(self, "position", float_array(self.position, (number, 3), "Trajectory.position"))
+        put(self, "position", checked_floats(self.position, (number, 3), "Trajectory.position"))
         put(self, "rotation", unit_quaternions(rotation, "Trajectory.rotation"))
         put(self, "covariance", covariance)
         rows, columns = zip(*UPPER, strict=True)

@@ -1,1 +1,1 @@
-"""What the map says: frozen readings, levels, layers, terrain, regions."""
+"""Reading a map: frozen maps, coarser levels, layers, terrain and regions."""

@@ -1,4 +1,4 @@
-"""A reading of the map: tiles of one level as they were at one moment, while the map goes on."""
+"""The frozen map: the tiles of one level as they were at one moment, while the map itself changes."""
 
 import warnings
 from collections.abc import Iterable, Mapping
@@ -19,8 +19,8 @@ UNKNOWN_TILE = np.zeros((TILE_CELLS, TILE_CELLS), dtype=CELL_DTYPE)
 UNKNOWN_TILE.flags.writeable = False
 
 
-class _Index:
-    """Tiles of one level, ascending by signed (x, y), found by bisection."""
+class _SortedTiles:
+    """The tiles of one level, ascending by signed (x, y), found by bisection."""
 
     def __init__(self, x: I4, y: I4, sequence: I8) -> None:
         self.x = x
@@ -33,7 +33,7 @@ class _Index:
         return (x.astype(np.int64) << 32) + y
 
     def find(self, x: int, y: int) -> int:
-        """The place of tile (x, y), or -1."""
+        """Return the position of tile (x, y), or -1."""
         if not (-TILE_LIMIT <= x < TILE_LIMIT and -TILE_LIMIT <= y < TILE_LIMIT):
             return -1
         packed = (x << 32) + y
@@ -41,23 +41,23 @@ class _Index:
         return place if place < len(self._packed) and self._packed[place] == packed else -1
 
 
-class Frozen:
-    """Tiles of one level within a box, with the ring of tiles around it, as they were when the reading began.
+class FrozenMap:
+    """The tiles of one level within a box, and the ring of tiles around it, as they were when the map was frozen.
 
-    The map makes it, under the caller's lock, and the caller closes it under the same lock (or leaves the ``with``
-    block there). All else may be asked without a lock, by several threads at once, while the map goes on: a tile that
-    is read here is copied before it is changed, and one that is not in memory is read from where it lies (then what
-    its shelf raises may come from here). Arrays of records are read-only and valid until ``close``. ValueError for a
-    level that the map does not keep.
+    `RoughMap.freeze` creates it under the caller's lock; the caller closes it, or leaves the ``with`` block, under the
+    same lock. All other methods need no lock, and several threads may call them at once while the map changes: the map
+    copies a tile that is frozen before it changes it. A tile that is not in memory is read from the shelf, whose errors
+    then come from here. Arrays of records are read-only and valid until ``close``. ValueError for a level that the map
+    does not have.
 
     Attributes:
-        level: the level, 0 for the map's own cells.
-        box: the tiles (x0, y0, x1, y1) of the level that were asked for, inclusive; None for all.
-        cell_size: the side of the level's cells, in metres.
-        sequence: the map's sequence at that moment.
-        newest_updated: the map's newest `updated`, in seconds.
-        tiles: (T, 2) int32, the tiles of the level within the box that hold a known cell, ascending by (x, y).
-        sequences: (T,) int64, the sequence at which each one's cells, or the ring of cells around it, last changed.
+        level: the level; 0 for the map's own cells.
+        box: the requested tiles (x0, y0, x1, y1) of the level, inclusive; None for all.
+        cell_size: side of the level's cells, metres.
+        sequence: sequence of the map at that moment.
+        newest_updated: newest `updated` of the map, in seconds.
+        tiles: (T, 2) int32, the tiles of the level in the box that have a known cell, ascending by (x, y).
+        sequences: (T,) int64, the sequence at which the cells of each tile, or the ring around them, last changed.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Frozen:
         newest_updated: int,
     ) -> None:
         if not 0 <= level < len(table.levels):
-            raise ValueError(f"level is {level}; expected one of 0 to {len(table.levels) - 1}")
+            raise ValueError(f"level is {level}; expected 0 to {len(table.levels) - 1}")
         self.level = level
         self.box = box
         self.cell_size = cell_size * (1 << level)
@@ -92,13 +92,13 @@ class Frozen:
         if after >= 0:
             entries = entries[base.sequence[entries] > after]
         slots = table.slot[entries]
-        if level == 0 and box is not None:  # what is asked for will be asked again; one step behind what is written
+        if level == 0 and box is not None:  # likely to be read again; ranks one step behind written tiles
             table.used[entries] = np.maximum(table.used[entries], sequence - 1)
         self._oldest_ns = table.oldest_ns[entries]
         self._newest_ns = table.newest_ns[entries]
-        self._index = [_Index(base.tx[entries], base.ty[entries], base.sequence[entries])]
+        self._index = [_SortedTiles(base.tx[entries], base.ty[entries], base.sequence[entries])]
         for z in range(1, level + 1):
-            self._index.append(_Index(*table.levels[z].select(_ring(box, level, z))))
+            self._index.append(_SortedTiles(*table.levels[z].select(_ring(box, level, z))))
         asked = self._index[level]
         inside = np.ones(len(asked.x), dtype=bool)
         if box is not None:
@@ -110,7 +110,7 @@ class Frozen:
         self._slots = slots
 
     def close(self) -> None:
-        """Let go of the tiles. Under the same lock as the map's own methods; a second time does nothing."""
+        """Release the tiles, under the lock of the map's methods. A second call does nothing."""
         if self._slots is not None:
             self._table.unpin(self._slots)
             self._slots = None
@@ -126,37 +126,37 @@ class Frozen:
     def __del__(self) -> None:
         slots = getattr(self, "_slots", None)
         if slots is not None:
-            # The lock is not ours to take here: the next reading, which begins under it, gives the tiles back.
+            # The lock cannot be taken here. The next `freeze` holds it, and releases the tiles.
             self._cache.abandoned.append((self._table, slots))
-            warnings.warn("a reading of the map was never closed", ResourceWarning, source=self, stacklevel=2)
+            warnings.warn("a frozen map was never closed", ResourceWarning, source=self, stacklevel=2)
 
     def covers(self, box: TileBox) -> bool:
-        """Whether the reading holds these tiles of its level, (x0, y0, x1, y1) inclusive."""
+        """Whether the box contains these tiles of the level, (x0, y0, x1, y1) inclusive."""
         if self.box is None:
             return True
         x0, y0, x1, y1 = self.box
         return x0 <= box[0] and y0 <= box[1] and box[2] <= x1 and box[3] <= y1
 
     def records(self, x: int, y: int) -> Records:
-        """The (64, 64) records of a tile of the level, row = j along y, column = i along x; zeros where absent."""
+        """Return the (64, 64) records of a tile of the level, row = j along y, column = i along x; zeros if absent."""
         found = self._records(self.level, x, y)
         return UNKNOWN_TILE if found is None else found
 
     def stamps(self, x: int, y: int) -> tuple[int, int]:
-        """The oldest and the newest stamp in the tile, in ns, of all tiles of level 0 beneath. KeyError if absent."""
+        """Return the oldest and the newest stamp, in ns, of the level-0 tiles under the tile. KeyError if absent."""
         base, z = self._index[0], self.level
         low, high = np.searchsorted(base.x, (x << z, (x + 1) << z))
-        beneath = np.flatnonzero(base.y[low:high] >> z == y) + low
-        if beneath.size == 0:
+        below = np.flatnonzero(base.y[low:high] >> z == y) + low
+        if below.size == 0:
             raise KeyError(f"no tile ({x}, {y}) at level {z}")
-        return int(self._oldest_ns[beneath].min()), int(self._newest_ns[beneath].max())
+        return int(self._oldest_ns[below].min()), int(self._newest_ns[below].max())
 
     def known_cells(self, x: int, y: int) -> int:
-        """How many cells of the tile have been touched by a point."""
+        """Return the number of known cells in the tile."""
         return int(np.count_nonzero(self.records(x, y)["count"]))
 
     def digest(self, x: int, y: int) -> str:
-        """XXH3-128 of the tile's 4096 records, j outer, i inner, in hex."""
+        """Return the XXH3-128 of the tile's 4096 records, j outer, i inner, in hex."""
         return xxhash.xxh3_128_hexdigest(self.records(x, y).reshape(-1).view(np.uint8).data)
 
     def tile_layers(
@@ -167,10 +167,11 @@ class Frozen:
         height_tolerance: float = 0.05,
         limits: Mapping[str, float] | None = None,
     ) -> dict[str, F8]:
-        """Layers of a tile of the level, in the asked order, each (64, 64) float64; see ``layers.LAYERS``.
+        """Return layers of a tile of the level, in the order of ``names``, each (64, 64) float64; see
+        ``layers.LAYERS``.
 
-        ``height_tolerance`` is the full width of ``confidence_level`` in metres; ``limits`` those of
-        ``traversability``, None for ``layers.DEFAULT_LIMITS``. ValueError for unknown names and bad values.
+        ``height_tolerance``: full width of the interval of ``confidence_level``, metres. ``limits``: those of
+        ``traversability``; None for ``layers.DEFAULT_LIMITS``. ValueError for unknown names and invalid values.
         """
         names = layers.check_names(names)
         tolerance = layers.check_tolerance(height_tolerance)
@@ -194,7 +195,7 @@ class Frozen:
         return {name: getattr(ground, name) for name in layers.NEIGHBOUR_LAYERS} | found
 
     def _ground(self, z: int, x: int, y: int, tolerance: float, limits: layers.GroundLimits | None) -> terrain.Terrain:
-        """Terrain of a tile, its traversability only with ``limits``."""
+        """Return the terrain of a tile, with traversability only if ``limits`` are given."""
         mean = self._means(z, x, y)
         side = self.cell_size / (1 << (self.level - z))
         if limits is None:
@@ -205,7 +206,7 @@ class Frozen:
         return terrain.derive(mean, side, limits, *spread.values())
 
     def _traversability(self, z: int, x: int, y: int, tolerance: float, limits: layers.GroundLimits) -> F8 | None:
-        """Traversability of a tile of level z, the least of its children's above level 0; None if absent."""
+        """Return the traversability of a tile of level z: above level 0, the least of its children; None if absent."""
         place = self._index[z].find(x, y)
         if place < 0:
             return None
@@ -213,13 +214,13 @@ class Frozen:
             return self._ground(0, x, y, tolerance, limits).traversability
 
         def make() -> F8:
-            beneath = [self._traversability(z - 1, cx, cy, tolerance, limits) for cx, cy in _children(x, y)]
-            return terrain.coarsen_least(beneath)
+            below = [self._traversability(z - 1, cx, cy, tolerance, limits) for cx, cy in _children(x, y)]
+            return terrain.coarsen_least(below)
 
-        return self._cache.get((*self._state(z, x, y, place), tolerance, limits), make, beneath=z < self.level)
+        return self._cache.get((*self._cache_key(z, x, y, place), tolerance, limits), make, lower=z < self.level)
 
     def _means(self, z: int, x: int, y: int) -> F8:
-        """The (66, 66) mean heights of a tile with one cell around it, NaN where unknown."""
+        """Return the (66, 66) mean heights of a tile with a halo of one cell, NaN where unknown."""
         size = TILE_CELLS + 2
         out = np.full((size, size), np.nan)
         inner, low, high = slice(1, size - 1), slice(0, 1), slice(size - 1, size)
@@ -234,39 +235,39 @@ class Frozen:
         return out
 
     def _records(self, z: int, x: int, y: int) -> Records | None:
-        """The records of a tile of a level up to the reading's own, merged where they must be; None if absent."""
+        """Return the records of a tile of level z, merged from level 0 if z > 0; None if absent."""
         place = self._index[z].find(x, y)
         if place < 0:
             return None
         if z == 0:
             if self._slots is None:
-                raise ValueError("this reading of the map is closed")
+                raise ValueError("this frozen map is closed")
             slot, table = int(self._slots[place]), self._table
             if slot >= 0:
                 return table.records(slot).reshape(TILE_CELLS, TILE_CELLS)
             return self._cache.get(
-                self._state(z, x, y, place),
+                self._cache_key(z, x, y, place),
                 lambda: table.records(slot).reshape(TILE_CELLS, TILE_CELLS),
-                beneath=z < self.level,
+                lower=z < self.level,
             )
 
         def make() -> Records:
             return levels.merge([self._records(z - 1, cx, cy) for cx, cy in _children(x, y)])
 
-        return self._cache.get(self._state(z, x, y, place), make, beneath=z < self.level)
+        return self._cache.get(self._cache_key(z, x, y, place), make, lower=z < self.level)
 
-    def _state(self, z: int, x: int, y: int, place: int) -> tuple[int, ...]:
-        """What tells a level tile's state from all others: its cells are as old as its sequence, or older."""
+    def _cache_key(self, z: int, x: int, y: int, place: int) -> tuple[int, ...]:
+        """Return the cache key of a tile's state; its cells have not changed since its sequence."""
         return z, x, y, int(self._index[z].sequence[place]), self._generation
 
 
 def _children(x: int, y: int) -> tuple[tuple[int, int], ...]:
-    """The four tiles beneath, in the order of the merge."""
+    """Return the four tiles of the level below, in the order of the merge."""
     return (2 * x, 2 * y), (2 * x + 1, 2 * y), (2 * x, 2 * y + 1), (2 * x + 1, 2 * y + 1)
 
 
 def _ring(box: TileBox | None, level: int, z: int) -> TileBox | None:
-    """The tiles of level z <= ``level`` that lie beneath the box and the ring of tiles around it, within the map."""
+    """Return the tiles of level z <= ``level`` under the box and the ring of tiles around it, clipped to the map."""
     if box is None:
         return None
     x0, y0, x1, y1 = box

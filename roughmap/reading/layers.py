@@ -1,4 +1,4 @@
-"""What a cell says: the layers that follow from its own record, and the names of all."""
+"""The layers computed from a cell's own record, and the names of all layers."""
 
 from collections.abc import Iterable, Mapping
 from functools import cached_property
@@ -7,7 +7,7 @@ from math import inf, isfinite
 import numpy as np
 
 from roughmap.arrays import F8, Flags, Records
-from roughmap.reading.normal import erf
+from roughmap.reading.error_function import erf
 
 CELL_LAYERS = (
     "mean_height",
@@ -24,31 +24,32 @@ CELL_LAYERS = (
     "expected_count",
     "age",
 )
-"""The layers for which a cell's own record is enough."""
+"""Layers computed from the cell's own record."""
 
 NEIGHBOUR_LAYERS = ("gradient_x", "gradient_y", "slope", "step_height", "traversability")
-"""The layers that look at the cells around, across tile borders too."""
+"""Layers that also need the cells around, across tile borders."""
 
 LAYERS = CELL_LAYERS + NEIGHBOUR_LAYERS
+"""All layers. `roughmap_schemas.layers.LAYERS` repeats them for clients that do not load the core."""
 
 SINGLE_POINT = 1.0 + 1e-6
-"""Up to this expected number of points a cell has no spread to speak of: W - W2/W would be rounding."""
+"""Up to this expected number of points a cell has no spread: W - W2/W would be a rounding error."""
 
 ZERO_WHERE_UNKNOWN = frozenset({"count", "weight"})
-"""The layers that are 0, and not NaN, in a cell that no point has touched."""
+"""Layers that are 0 instead of NaN in an unknown cell."""
 
 
 def check_names(names: Iterable[str]) -> tuple[str, ...]:
-    """``names`` as a tuple, or ValueError that names the unknown one and the known ones."""
+    """Return ``names`` as a tuple. ValueError names an unknown layer and the known ones."""
     checked = (names,) if isinstance(names, str) else tuple(names)
     for name in checked:
         if name not in LAYERS:
-            raise ValueError(f"unknown layer {name!r}; expected some of {', '.join(LAYERS)}")
+            raise ValueError(f"unknown layer {name!r}; expected {', '.join(LAYERS)}")
     return checked
 
 
 def check_tolerance(height_tolerance: float) -> float:
-    """``height_tolerance`` as a float, or ValueError: a positive, finite number of metres."""
+    """Return ``height_tolerance`` as a float. ValueError unless it is a positive, finite number of metres."""
     tolerance = float(height_tolerance)
     if not (isfinite(tolerance) and tolerance > 0.0):
         raise ValueError(f"height_tolerance is {height_tolerance}; expected a positive, finite number of metres")
@@ -56,23 +57,23 @@ def check_tolerance(height_tolerance: float) -> float:
 
 
 def unknown_plane(name: str, shape: tuple[int, ...]) -> F8:
-    """A layer of cells that no point has touched: NaN, but 0 for ``count`` and ``weight``."""
+    """Return a layer of unknown cells: NaN, but 0 for ``count`` and ``weight``."""
     return np.full(shape, 0.0 if name in ZERO_WHERE_UNKNOWN else np.nan)
 
 
 def cell_layers(records: Records, names: Iterable[str], height_tolerance: float, newest_updated: int) -> dict[str, F8]:
-    """The asked ones of ``CELL_LAYERS``, in the asked order, float64 in the shape of ``records``.
+    """Return the layers ``names``, all of ``CELL_LAYERS``, in this order, as float64 in the shape of ``records``.
 
-    ``records`` are of ``CELL_DTYPE``, of any level; metres and seconds; NaN where not known. ``height_tolerance`` is
-    the full width d of ``confidence_level`` (eq. 11), ``newest_updated`` the map's newest `updated`, from which ``age``
-    counts back. KeyError for a name that is not of ``CELL_LAYERS``.
+    ``records``: of ``CELL_DTYPE``, of any level. Units are metres and seconds; unknown values are NaN.
+    ``height_tolerance``: full width d of the interval of ``confidence_level`` (eq. 11). ``newest_updated``: newest
+    `updated` of the map, from which ``age`` is counted. KeyError for a name that is not in ``CELL_LAYERS``.
     """
     state = _Cells(records, height_tolerance, newest_updated)
     return {name: _FORMULAS[name](state) for name in names}
 
 
 class _Cells:
-    """The columns of some records and what several layers share, each computed when it is first asked for."""
+    """Records and the quantities that several layers share, each computed once, on first use."""
 
     def __init__(self, records: Records, height_tolerance: float, newest_updated: int) -> None:
         self.records = records
@@ -85,7 +86,7 @@ class _Cells:
         return unknown
 
     def known(self, values: F8) -> F8:
-        """A fresh plane of ``values``, NaN in unknown cells."""
+        """Return a copy of ``values`` with NaN in unknown cells."""
         return np.where(self.unknown, np.nan, values)
 
     @cached_property
@@ -97,7 +98,7 @@ class _Cells:
 
     @cached_property
     def std_dev(self) -> F8:
-        """Eq. 6 for weights: sqrt(m2 / (W - W2/W)); NaN where there is no more than one point to speak of."""
+        """Eq. 6 for weights: sqrt(m2 / (W - W2/W)); NaN where the expected number of points is at most one."""
         weight = self.records["weight"]
         with np.errstate(invalid="ignore", divide="ignore"):
             spread = np.sqrt(self.records["m2"] / (weight - self.records["weight_sq"] / weight))
@@ -115,7 +116,7 @@ class _Cells:
             return self.known(1.0 / self.records["inv_cf"])
 
     def age(self) -> F8:
-        """Seconds from a cell's `updated` to the map's newest."""
+        """Seconds from the cell's `updated` to the newest of the map."""
         return self.known(float(self.newest_updated) - self.records["updated"])
 
 
@@ -137,26 +138,26 @@ _FORMULAS = {
 
 
 LIMIT_NAMES = ("slope", "step", "std_dev", "range", "confidence")
-"""What ``traversability`` can be bounded by: radians, metres, metres, metres, and a probability."""
+"""The limits of ``traversability``, in radians, metres, metres, metres, and as a probability."""
 
 DEFAULT_LIMITS = {"slope": 0.5, "step": 0.2, "std_dev": 0.1, "confidence": 0.9}
 
 GroundLimits = tuple[float, float, float, float, float]
-"""One limit for each of ``LIMIT_NAMES``, inf for one that is not used."""
+"""One limit for each of ``LIMIT_NAMES``; inf if it is not used."""
 
 
 def check_limits(limits: Mapping[str, float] | None) -> GroundLimits:
-    """The limits in the order of ``LIMIT_NAMES``; None stands for ``DEFAULT_LIMITS``.
+    """Return the limits in the order of ``LIMIT_NAMES``; None stands for ``DEFAULT_LIMITS``.
 
-    ValueError for an unknown name, for a limit that is not positive and finite, and for no limit at all: the least of
-    nothing would call all ground safe.
+    ValueError for an unknown name, for a limit that is not positive and finite, and for an empty mapping, which would
+    rate all ground as safe.
     """
     given = DEFAULT_LIMITS if limits is None else dict(limits)
     if not given:
         raise ValueError(f"limits are empty; expected one or more of {', '.join(LIMIT_NAMES)}")
     for name, limit in given.items():
         if name not in LIMIT_NAMES:
-            raise ValueError(f"unknown limit {name!r}; expected some of {', '.join(LIMIT_NAMES)}")
+            raise ValueError(f"unknown limit {name!r}; expected {', '.join(LIMIT_NAMES)}")
         if not (isfinite(limit) and limit > 0.0):
             raise ValueError(f"limit {name} is {limit}; expected a positive, finite number")
     slope, step, std_dev, extent, confidence = (float(given.get(name, inf)) for name in LIMIT_NAMES)

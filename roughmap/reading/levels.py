@@ -12,7 +12,7 @@ from roughmap.jit import kernel
 HALF = TILE_CELLS // 2
 
 COUNT_LIMIT = (1 << 32) - 1
-"""Counts stop here instead of starting again at 0: 0 would say that the cell is unknown."""
+"""Counts stop here instead of wrapping to 0, which would mean an unknown cell."""
 
 
 @kernel
@@ -57,16 +57,16 @@ def _merge_quadrant(
 
 
 def merge(children: Sequence[Records | None]) -> Records:
-    """The tile of the next level over four tiles, merged cell by cell.
+    """Merge four tiles, cell by cell, into the tile of the next level.
 
-    ``children`` are the tiles (2x, 2y), (2x+1, 2y), (2x, 2y+1), (2x+1, 2y+1), each 4096 records of ``CELL_DTYPE`` with
-    j outer and i inner (any shape), or None where there is none. In a cell the first known child is copied as it is;
-    each further one B is joined to what is there, A, by
+    ``children``: the tiles (2x, 2y), (2x+1, 2y), (2x, 2y+1), (2x+1, 2y+1), each 4096 records of ``CELL_DTYPE`` with j
+    outer and i inner, in any shape, or None if absent. In each cell the first known child is copied; each further known
+    child B is merged with the result so far, A, by
 
         W = Wa + Wb,  mean = mean_a + delta Wb / W,  m2 = m2_a + m2_b + delta^2 Wa Wb / W,  delta = mean_b - mean_a
 
-    with sums of ``count`` (held at 2^32 - 1), ``weight_sq`` and ``inv_cf``, and the extremes of ``updated``, ``min``
-    and ``max``. Returns (64, 64) records, row = j along y, column = i along x, read-only.
+    with sums of ``count`` (at most 2^32 - 1), ``weight_sq`` and ``inv_cf``, the minimum of ``min``, and the maximum of
+    ``updated`` and ``max``. Returns (64, 64) records, row = j along y, column = i along x, read-only.
     """
     out = np.zeros((TILE_CELLS, TILE_CELLS), dtype=CELL_DTYPE)
     out_words, out_halves = _views(out)
@@ -79,7 +79,7 @@ def merge(children: Sequence[Records | None]) -> Records:
 
 
 def _views(records: Records) -> tuple[F8, npt.NDArray[np.uint32]]:
-    """The same 4096 records as (4096, 8) float64 and as (4096, 16) unsigned words."""
+    """Return views of the 4096 records as (4096, 8) float64 and (4096, 16) uint32."""
     cells = TILE_CELLS * TILE_CELLS
     flat = records.reshape(cells)
     return flat.view(np.float64).reshape(cells, 8), flat.view(np.uint32).reshape(cells, 16)

@@ -1,25 +1,25 @@
-"""A rectangle of the map as arrays: which cells a box means, and the mosaic of layers over them."""
+"""A rectangle of the map as arrays: the cells that a box covers, and the layers over them."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from math import ceil, floor, isfinite
 
 from roughmap.arrays import F8
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap.reading.layers import check_limits, check_names, check_tolerance, unknown_plane
 
 Bbox = tuple[float, float, float, float]
 CellBox = tuple[int, int, int, int]
 
 MAX_CELLS = 1 << 26
-"""Half a gigabyte a layer in float64: more is asked for in pieces."""
+"""Half a gigabyte per layer in float64. Larger regions must be read in pieces."""
 
 CELL_SLACK = 1e-6
-"""In cells: keeps an edge that is meant to lie on a border there, such as 0.3 / 0.1 = 2.9999999999999996."""
+"""In cells; keeps an edge such as 0.3 / 0.1 = 2.9999999999999996 on its cell border."""
 
 
 class Region(Mapping[str, F8]):
-    """Layers over a rectangle of cells, by name: (ny, nx) float64, row 0 at the lowest y, column 0 at the lowest x."""
+    """Layers over a rectangle of cells by name: (ny, nx) float64, row 0 at the lowest y, column 0 at the lowest x."""
 
     def __init__(
         self, layers: Mapping[str, F8], *, cells: CellBox, cell_size: float, sequence: int, level: int
@@ -28,11 +28,11 @@ class Region(Mapping[str, F8]):
         self.cells = cells
         """(i0, j0, i1, j1) of the level, half-open."""
         self.cell_size = cell_size
-        """The side of a cell of the level, in metres."""
+        """Side of a cell of the level, in metres."""
         self.origin = (cells[0] * cell_size, cells[1] * cell_size)
         """x and y of the lower-left corner, in metres."""
         self.sequence = sequence
-        """The map's sequence that all the layers show."""
+        """Sequence of the map, the same for all layers."""
         self.level = level
 
     @property
@@ -52,10 +52,10 @@ class Region(Mapping[str, F8]):
 
 
 def cell_box(bbox: Iterable[float], cell_size: float) -> CellBox:
-    """The cells (i0, j0, i1, j1), half-open, that the box (xmin, ymin, xmax, ymax) in metres covers.
+    """Return the cells (i0, j0, i1, j1), half-open, that the box (xmin, ymin, xmax, ymax) in metres covers.
 
-    From floor(xmin / s + 1e-6) up to, not including, ceil(xmax / s - 1e-6), the same along y. ValueError for a box that
-    is not four finite numbers, is empty, or covers more than 2^26 cells.
+    Along x from floor(xmin / s + 1e-6) up to, not including, ceil(xmax / s - 1e-6); along y likewise. ValueError for a
+    box that is not four finite numbers, is empty, or covers more than 2^26 cells.
     """
     box = tuple(float(value) for value in bbox)
     if len(box) != 4:
@@ -76,22 +76,22 @@ def cell_box(bbox: Iterable[float], cell_size: float) -> CellBox:
 
 
 def tile_box(cells: CellBox) -> CellBox:
-    """The tiles (x0, y0, x1, y1), inclusive, that hold these half-open cells."""
+    """Return the tiles (x0, y0, x1, y1), inclusive, that contain these half-open cells."""
     i0, j0, i1, j1 = cells
     return i0 >> TILE_SHIFT, j0 >> TILE_SHIFT, (i1 - 1) >> TILE_SHIFT, (j1 - 1) >> TILE_SHIFT
 
 
 def read_region(
-    frozen: Frozen,
+    frozen: FrozenMap,
     bbox: Iterable[float],
     names: Iterable[str],
     height_tolerance: float = 0.05,
     limits: Mapping[str, float] | None = None,
 ) -> Region:
-    """The layers ``names`` over ``bbox`` (xmin, ymin, xmax, ymax in metres), at the level of ``frozen``.
+    """Read the layers ``names`` over ``bbox`` (xmin, ymin, xmax, ymax in metres) at the level of ``frozen``.
 
-    A mosaic of tiles, whose neighbours are taken from the whole map. ValueError for what ``cell_box`` refuses, an
-    unknown layer or limit, a tolerance that is not positive, and a box that ``frozen`` does not hold.
+    Layers that need neighbours use cells outside the box too. ValueError for a box that ``cell_box`` refuses or
+    ``frozen`` does not cover, an unknown layer or limit, and a tolerance that is not positive.
     """
     names = check_names(names)
     check_tolerance(height_tolerance)
@@ -99,7 +99,7 @@ def read_region(
     cells = cell_box(bbox, frozen.cell_size)
     tiles = tile_box(cells)
     if not frozen.covers(tiles):
-        raise ValueError(f"the box needs the tiles {tiles}; expected some within {frozen.box}")
+        raise ValueError(f"the box covers the tiles {tiles}; expected tiles within {frozen.box}")
     i0, j0, i1, j1 = cells
     layers = {name: unknown_plane(name, (j1 - j0, i1 - i0)) for name in names}
     (x0, y0, x1, y1), (tx, ty) = tiles, frozen.tiles.T
@@ -112,6 +112,6 @@ def read_region(
 
 
 def overlap(tile: int, first: int, end: int) -> tuple[slice, slice]:
-    """Along one axis, where a tile meets the cells [first, end): the slice of those, and the slice of the tile."""
+    """Return the overlap of a tile with the cells [first, end) along one axis, as slices of the cells and the tile."""
     low, high = max(tile * TILE_CELLS, first), min((tile + 1) * TILE_CELLS, end)
     return slice(low - first, high - first), slice(low - tile * TILE_CELLS, high - tile * TILE_CELLS)

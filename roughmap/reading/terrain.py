@@ -1,7 +1,7 @@
-"""What a cell says of the ground around it: gradients, slope, steps and traversability.
+"""The layers that need neighbouring cells: gradients, slope, step height and traversability.
 
-All planes have rows along y and columns along x. A plane of means comes with a halo of one cell on each side, NaN where
-a cell is unknown.
+All planes have rows along y and columns along x. A plane of mean heights has a halo of one cell on each side; unknown
+cells are NaN.
 """
 
 from collections.abc import Sequence
@@ -15,14 +15,14 @@ from roughmap.jit import inline, kernel
 from roughmap.reading.layers import GroundLimits
 
 NO_PLANE = np.empty((0, 0))
-"""Stands for a plane that is not needed."""
+"""Placeholder for a plane that is not needed."""
 
 UNLIMITED: GroundLimits = (inf, inf, inf, inf, inf)
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """The layers that need neighbours, each (ny, nx) float64, NaN where not known."""
+    """The layers that need neighbours, each (ny, nx) float64, NaN where unknown."""
 
     gradient_x: F8
     gradient_y: F8
@@ -34,7 +34,7 @@ class Terrain:
 
 @inline
 def _difference(before: float, here: float, after: float, side: float) -> float:
-    """The gradient along one axis: central, else one-sided, NaN where neither is known; ``here`` is known."""
+    """Return the gradient along one axis: central, else one-sided, NaN without neighbours. ``here`` is known."""
     if isnan(after):
         return (here - before) / side
     if isnan(before):
@@ -44,14 +44,14 @@ def _difference(before: float, here: float, after: float, side: float) -> float:
 
 @inline
 def _step(largest: float, here: float, neighbour: float) -> float:
-    """``largest`` or the step to this neighbour; an unknown one compares as false."""
+    """Return the larger of ``largest`` and the step to a neighbour; an unknown neighbour (NaN) does not count."""
     step = abs(neighbour - here)
     return step if step > largest else largest
 
 
 @inline
 def _worse(least: float, term: float) -> float:
-    """The smaller of two terms, where 0 wins over NaN and NaN over all else."""
+    """Return the smaller of two terms; 0 precedes NaN, and NaN precedes any other number."""
     if least == 0.0 or isnan(least):
         return 0.0 if term <= 0.0 else least
     if term > least:
@@ -129,19 +129,19 @@ def derive(
     extent: F8 = NO_PLANE,
     confidence: F8 = NO_PLANE,
 ) -> Terrain:
-    """Gradients, slope, step height and, where ``limits`` are given, traversability.
+    """Compute gradients, slope, step height and, if ``limits`` are given, traversability.
 
-    ``mean`` is (ny + 2, nx + 2), mean heights in metres with their halo; ``side`` the cell's side in metres.
-    ``std_dev``, ``extent`` (the layer ``range``) and ``confidence`` (``confidence_level``) are (ny, nx) and needed only
-    where the limit of their name is used. ``traversability`` is the least of clip(1 - v / limit, 0, 1), for confidence
-    of clip(v / limit, 0, 1), over the limits in use; a known 0 wins over NaN, else it is NaN if any used value is.
+    ``mean``: (ny + 2, nx + 2), mean heights in metres with their halo. ``side``: side of a cell in metres. ``std_dev``,
+    ``extent`` (the layer ``range``) and ``confidence`` (``confidence_level``): (ny, nx), needed only if their limit is
+    used. ``traversability`` is the least of clip(1 - v / limit, 0, 1), or clip(v / limit, 0, 1) for confidence, over
+    the limits in use. It is 0 if any term is 0, else NaN if any term is NaN.
     """
     if mean.ndim != 2 or min(mean.shape) < 2:
-        raise ValueError(f"means have the shape {mean.shape}; expected two axes with a halo of one cell on each side")
+        raise ValueError(f"mean has the shape {mean.shape}; expected two axes with a halo of one cell on each side")
     shape = (mean.shape[0] - 2, mean.shape[1] - 2)
     for plane, limit in zip((std_dev, extent, confidence), (UNLIMITED if limits is None else limits)[2:], strict=True):
         if limit < inf and plane.shape != shape:
-            raise ValueError(f"a plane that is limited has the shape {plane.shape}; expected {shape}")
+            raise ValueError(f"a plane with a limit has the shape {plane.shape}; expected {shape}")
     gradient_x, gradient_y, slope, step = (np.empty(shape) for _ in range(4))
     traversability = NO_PLANE if limits is None else np.empty(shape)
     _derive(
@@ -161,10 +161,10 @@ def derive(
 
 
 def coarsen_least(children: Sequence[F8 | None]) -> F8:
-    """Traversability of a tile above level 0 from its four children tiles: the least known of each 2 x 2 cells.
+    """Compute the traversability of a tile above level 0 from its four children: the least known of each 2 x 2 cells.
 
-    ``children`` are (n, n) planes in the order (2x, 2y), (2x+1, 2y), (2x, 2y+1), (2x+1, 2y+1), None where there is no
-    tile; NaN where none of the four cells says anything.
+    ``children``: (n, n) planes in the order (2x, 2y), (2x+1, 2y), (2x, 2y+1), (2x+1, 2y+1), None where there is no
+    tile. NaN where none of the four cells is known.
     """
     size = next(child.shape[0] for child in children if child is not None)
     out = np.full((size, size), np.nan)

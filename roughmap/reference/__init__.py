@@ -1,1 +1,1 @@
-"""The map built by dividing and calculating: the oracle of the running update, and the paper's second half."""
+"""The batch method of the paper, dividing and calculating, as the reference for the running update."""

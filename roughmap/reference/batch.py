@@ -1,7 +1,7 @@
-"""Dividing-and-calculating: all points are first divided among the cells, then each cell is calculated in two passes.
+"""Dividing and calculating: all points are divided among the cells, then each cell is computed in two passes.
 
-The other way to build the map that ``RoughMap`` grows point by point: plain numpy, arithmetic of its own, all points in
-memory. It is what the running update is compared with, in results and in speed.
+It builds the same map as ``RoughMap``, but from all points at once, in plain numpy and with independent arithmetic. The
+running update is compared with it in results and in speed.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -14,36 +14,36 @@ import numpy.typing as npt
 
 from roughmap.arrays import F8, I8, Flags
 from roughmap.cell import STAMP_LIMIT_NS, PointReason
+from roughmap.points.checks import checked_points
 from roughmap.points.footprint import HEIGHT_MAX
-from roughmap.points.scan import checked_points
+from roughmap.reading.error_function import erf
 from roughmap.reading.layers import LAYERS, LIMIT_NAMES, SINGLE_POINT, check_limits, check_tolerance
-from roughmap.reading.normal import erf
 from roughmap.reference.batch_shares import Pairs, cells_of_bodies, cells_of_points
 
 T = TypeVar("T", bound=np.generic)
 
 PSD_SLACK = 1e-9
-"""An eigenvalue may lie this part of the trace below zero: a rounded covariance is still one."""
+"""How far below zero an eigenvalue may lie, as a fraction of the trace: a covariance may be rounded."""
 
 BOUND_SLACK = 1e-6
-"""In cells, as for a region: keeps a bound that is meant to lie on a border there."""
+"""In cells; keeps a bound such as 0.3 / 0.1 = 2.9999999999999996 on its cell border, as in `region`."""
 
 
 class BatchMap(Mapping[str, F8]):
-    """The cells of a finished set of points, and by name each layer over them: (M,) float64, NaN where not known.
+    """The cells of a complete set of points, and each layer over them by name: (M,) float64, NaN where unknown.
 
-    ``points`` (N, 3) in the map frame, metres; ``covariance`` (N, 3, 3), or (3, 3) for all alike, m^2, needed unless
-    ``error_model`` is "point"; ``stamp_ns`` a scalar or (N,). The settings are those of ``RoughMap``, the last two
-    those of ``RoughMap.region``. ValueError with what was expected for wrong shapes, a missing covariance, a stamp
-    outside [0, 2^32 s) or unknown names. The layers, in arrays over cells instead of rectangles:
+    ``points``: (N, 3) in the map frame, metres. ``covariance``: (N, 3, 3), or (3, 3) for all points, m^2; required
+    unless ``error_model`` is "point". ``stamp_ns``: a scalar or (N,). The other settings are those of ``RoughMap``, the
+    last two those of ``RoughMap.region``. ValueError for wrong shapes, a missing covariance, a stamp outside
+    [0, 2^32 s) or unknown names. Each layer is an array over the cells instead of a rectangle:
 
         W = sum w,  W2 = sum w^2 / p,  mean = sum w h / W (eq. 2, 13),  m2 = sum w (h - mean)^2 (eq. 6, 14),
         inv_cf = sum w / max(|h - mean at that point|, min_distance)^2 (eq. 15, 16), from cumulative sums
 
     Attributes:
         cells: (M, 2) int64, the known cells (i, j), ascending.
-        accepted: the number of points used.
-        rejected: the numbers of points not used, by reason.
+        accepted: number of points used.
+        rejected: numbers of points not used, by reason.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class BatchMap(Mapping[str, F8]):
         self._calculate(pairs, where[good, 2], stamps[good], min_distance)
 
     def _calculate(self, pairs: Pairs, height: F8, stamp_ns: I8, min_distance: float) -> None:
-        """Each cell's state, from its pairs in the order of the points."""
+        """Compute the state of each cell from its pairs, in the order of the points."""
         order = np.lexsort((pairs.point, pairs.j, pairs.i))
         i, j, point = pairs.i[order], pairs.j[order], pairs.point[order]
         begins = np.ones(len(order), dtype=bool)
@@ -110,7 +110,7 @@ class BatchMap(Mapping[str, F8]):
         q = pairs.density[order]
         w = pairs.share[order] * q
         start = h[first]
-        above = h - start[cell]  # sums of differences keep their digits at survey altitudes
+        above = h - start[cell]  # differences keep their digits at large altitudes
         self._count = np.diff(np.append(first, len(order)))
         self._updated = _reduce(np.maximum, stamp_ns[point] // 1_000_000_000, first)
         self._weight = _reduce(np.add, w, first)
@@ -147,7 +147,7 @@ class BatchMap(Mapping[str, F8]):
         return spread
 
     def _confidence_level(self) -> F8:
-        """Eq. 11 with n, the expected number of points."""
+        """Eq. 11, with the expected number of points for n."""
         with np.errstate(divide="ignore"):
             x = self._tolerance * np.sqrt(self._expected_count) / (2.0 * self._std_dev)
         return erf(x / np.sqrt(2.0))
@@ -156,7 +156,7 @@ class BatchMap(Mapping[str, F8]):
         return float(self._updated.max(initial=0)) - self._updated.astype(np.float64)
 
     def _mean_beside(self, across: int, up: int) -> F8:
-        """The mean height of each cell's neighbour, NaN where there is none."""
+        """Return the mean height of a neighbour of each cell, NaN where there is none."""
         sought = self.cells + np.array([across, up])
         place = np.searchsorted(_packed(self.cells), _packed(sought))
         place = np.clip(place, 0, max(len(self.cells) - 1, 0))
@@ -179,7 +179,7 @@ class BatchMap(Mapping[str, F8]):
         return highest
 
     def _traversability(self) -> F8:
-        """The least of the terms; a known 0 wins over NaN, NaN over all else."""
+        """Return the least of the terms: 0 if any term is 0, else NaN if any term is NaN."""
         layers = dict(zip(LIMIT_NAMES, ("slope", "step_height", "std_dev", "range", "confidence_level"), strict=True))
         terms = []
         for name, limit in self._limits.items():
@@ -213,7 +213,7 @@ _FORMULAS: dict[str, Callable[[BatchMap], npt.NDArray[np.generic]]] = {
 
 
 def _packed(cells: I8) -> I8:
-    """(M, 2) cell numbers in one, in the same order. Wraps beyond 32 bits, where there is no neighbour."""
+    """Pack (M, 2) cell numbers into one each, in the same order. Wraps beyond 32 bits, where no neighbour exists."""
     return (cells[:, 0] << 32) + cells[:, 1]
 
 
@@ -223,14 +223,14 @@ def _checked_points(points: npt.ArrayLike, stamp_ns: npt.ArrayLike) -> tuple[F8,
     if not np.issubdtype(stamps.dtype, np.integer) or stamps.shape not in {(), (len(where),)}:
         raise ValueError(f"stamps are {stamps.dtype} {stamps.shape}; expected an integer or ({len(where)},) integers")
     if stamps.size and (int(stamps.min()) < 0 or int(stamps.max()) >= STAMP_LIMIT_NS):
-        raise ValueError(f"a stamp lies outside the map's time; expected [0, {STAMP_LIMIT_NS}) ns")
+        raise ValueError(f"a stamp is out of range; expected [0, {STAMP_LIMIT_NS}) ns")
     return where, np.broadcast_to(stamps.astype(np.int64), (len(where),))
 
 
 def _checked_covariances(covariance: npt.ArrayLike | None, number: int) -> F8:
-    """(N, 3, 3), symmetric: the upper triangle is the one that counts."""
+    """Return symmetric (N, 3, 3) covariances, taken from the upper triangles."""
     if covariance is None:
-        raise ValueError("no covariance; expected (N, 3, 3) or (3, 3), needed unless error_model is point")
+        raise ValueError("no covariance; expected (N, 3, 3) or (3, 3) unless error_model is point")
     given = np.asarray(covariance, dtype=np.float64)
     if given.shape not in {(3, 3), (number, 3, 3)}:
         raise ValueError(f"covariance has the shape {given.shape}; expected ({number}, 3, 3) or (3, 3)")
@@ -239,7 +239,7 @@ def _checked_covariances(covariance: npt.ArrayLike | None, number: int) -> F8:
 
 
 def _is_covariance(S: F8) -> Flags:
-    """Finite, no negative diagonal, and no eigenvalue below -1e-9 of the trace."""
+    """Whether each matrix is finite, with no negative diagonal entry and no eigenvalue below -1e-9 times the trace."""
     good: Flags = np.logical_and.reduce(np.isfinite(S), axis=(1, 2))
     good &= np.logical_and.reduce(np.diagonal(S, axis1=1, axis2=2) >= 0.0, axis=1)
     matrices = S[good]
@@ -250,7 +250,7 @@ def _is_covariance(S: F8) -> Flags:
 def _error_bodies(
     S: F8, error_model: str, coverage: float, min_radius: float, cell_side: float
 ) -> tuple[F8, F8 | None, F8]:
-    """Half extents along x and y (N, 2), their correlation (an ellipsoid's only), and q (eq. 14)."""
+    """Return half extents along x and y (N, 2), their correlation (ellipsoids only, else None), and q (eq. 14)."""
     if error_model == "cuboid":
         radius = np.maximum(coverage * np.sqrt(np.diagonal(S, axis1=1, axis2=2)), min_radius)
         return radius[:, :2], None, cell_side / radius.prod(axis=1)
@@ -264,12 +264,12 @@ def _error_bodies(
 
 
 def _reject(reason: npt.NDArray[np.uint8], bad: Flags | np.bool_, kind: PointReason) -> None:
-    """Points that are rejected already keep their first reason."""
+    """Set the reason of the ``bad`` points, except for those already rejected."""
     reason[bad & (reason == PointReason.KEPT)] = kind
 
 
 def _within(pairs: Pairs, bounds: tuple[float, float, float, float], side: float) -> Pairs:
-    """The pairs whose cells lie in the map's bounds."""
+    """Return the pairs whose cells lie in the bounds of the map."""
     i0, j0 = (floor(value / side + BOUND_SLACK) for value in bounds[:2])
     i1, j1 = (ceil(value / side - BOUND_SLACK) for value in bounds[2:])
     kept = (pairs.i >= i0) & (pairs.i < i1) & (pairs.j >= j0) & (pairs.j < j1)
@@ -277,16 +277,16 @@ def _within(pairs: Pairs, bounds: tuple[float, float, float, float], side: float
 
 
 def _reduce(how: np.ufunc, values: npt.NDArray[T], first: I8) -> npt.NDArray[T]:
-    """``how`` over the values of each cell; ``first`` are the places where the cells begin."""
+    """Reduce the values of each cell by ``how``; ``first``: the position of the first value of each cell."""
     reduced: npt.NDArray[T] = how.reduceat(values, first)
     return reduced
 
 
 def _cumulative(values: F8, place: I8) -> F8:
-    """Cumulative sums that start anew in each cell; ``place`` is a value's place in its cell.
+    """Return cumulative sums that restart in each cell; ``place``: the position of each value in its cell.
 
-    By doubling: after the step of length s a value holds the sum of the last 2s of its cell. Unlike a difference of
-    two running totals this loses nothing where a heavy cell comes before a light one.
+    By doubling: after the step of length s each value is the sum of the last 2s values of its cell. Differences of one
+    running total would lose digits where a heavy cell precedes a light one.
     """
     sums = values.copy()
     step = 1

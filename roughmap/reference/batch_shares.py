@@ -1,4 +1,4 @@
-"""Which cells the points of a batch touch, and with what shares (eq. 12, 14): numpy over pairs of point and cell."""
+"""The cells that the points of a batch touch, and their shares (eq. 12, 14), in numpy over pairs of point and cell."""
 
 from dataclasses import dataclass
 
@@ -9,27 +9,27 @@ from roughmap.arrays import F8, I8, Flags
 INT32 = np.iinfo(np.int32)
 
 LEAST_SHARE = 1e-12
-"""Shares up to this are rounding, whatever ``min_share`` says."""
+"""Shares up to this are rounding errors and do not count, for any ``min_share``."""
 
 CHUNK_PAIRS = 1 << 16
-"""Ellipse areas are computed for so many pairs at a time: some 50 temporary numbers a pair."""
+"""Pairs per batch of ellipse areas, each of which needs about 50 temporary numbers."""
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """Points and the cells that they touch, ascending by point; all (P,)."""
+    """Points and the cells that they touch, in ascending order of the points; all arrays are (P,)."""
 
     point: I8
     i: I8
     j: I8
     share: F8
-    """p, the part of the error body that lies in the cell."""
+    """p, the share of the error body that lies in the cell."""
     density: F8
-    """q = w / p of the point, so that its weight in the cell is p q."""
+    """q = w / p of the point; its weight in the cell is p q."""
 
 
 def cells_of_points(points: F8, cell_size: float) -> tuple[Pairs, Flags]:
-    """The cell in which each of the (N, 3) points lies, and which points lie where cells can be numbered."""
+    """Return the cells of (N, 3) points, and for which points the cell numbers fit 32 bits."""
     i, j = _cell_numbers(points[:, 0], cell_size), _cell_numbers(points[:, 1], cell_size)
     inside = _fits(i) & _fits(j)
     point = np.flatnonzero(inside)
@@ -40,10 +40,10 @@ def cells_of_points(points: F8, cell_size: float) -> tuple[Pairs, Flags]:
 def cells_of_bodies(
     points: F8, radius: F8, correlation: F8 | None, density: F8, cell_size: float, min_share: float
 ) -> tuple[Pairs, Flags]:
-    """The cells that the error bodies of (N, 3) points touch, and which bodies lie where cells can be numbered.
+    """Return the cells that the error bodies of (N, 3) points touch, and for which bodies the cell numbers fit 32 bits.
 
-    ``radius`` is (N, 2), half the body's extent along x and y; the body is a rectangle, or with ``correlation``, (N,),
-    an ellipse. ``density`` is q, (N,). A cell takes part if its share is at least ``min_share`` of the point's largest.
+    ``radius``: (N, 2), half extents along x and y. The body is a rectangle, or an ellipse if ``correlation``, (N,), is
+    given. ``density``: q, (N,). A cell counts if its share is at least ``min_share`` times the point's largest share.
     """
     low = _cell_numbers(points[:, :2] - radius, cell_size)
     high = _cell_numbers(points[:, :2] + radius, cell_size)
@@ -58,7 +58,7 @@ def cells_of_bodies(
     i = first[row, 0] + place % across[row]
     j = first[row, 1] + place // across[row]
     point = kept[row]
-    # Cell borders relative to the body's middle, in radii: exact differences even far from the origin.
+    # Cell borders relative to the centre of the body, in radii: exact differences even far from the origin.
     left, right, bottom, top = (
         (edge * cell_size - points[point, axis]) / radius[point, axis]
         for axis, edge in ((0, i), (0, i + 1), (1, j), (1, j + 1))
@@ -78,7 +78,7 @@ def cells_of_bodies(
 
 
 def _cell_numbers(metres: F8, cell_size: float) -> F8:
-    """Cell numbers as floats, so that they can be tested before they are converted."""
+    """Return cell numbers as floats, which can be checked before they are converted."""
     with np.errstate(over="ignore"):
         return np.floor(metres / cell_size)
 
@@ -89,17 +89,17 @@ def _fits(numbers: F8) -> Flags:
 
 
 def _clipped(low: F8, high: F8) -> F8:
-    """The length of [low, high] inside [-1, 1]."""
+    """Return the length of [low, high] inside [-1, 1]."""
     length: F8 = np.clip(high, -1.0, 1.0) - np.clip(low, -1.0, 1.0)
     return length
 
 
 def _ellipse_shares(left: F8, right: F8, bottom: F8, top: F8, rho: F8) -> F8:
-    """The shares of ellipses in rectangles, exact, by strips.
+    """Return the exact shares of ellipses in rectangles, computed in strips.
 
-    In the units of its radii the ellipse is rho u - beta sqrt(1 - u^2) <= v <= rho u + beta sqrt(1 - u^2) with
-    beta^2 = 1 - rho^2, its area pi beta. Its two arcs cross v = V at u = rho V +- beta sqrt(1 - V^2): between two
-    neighbouring crossings each arc stays below, in or above the rectangle, where its integral is a closed form.
+    In units of its radii the ellipse is rho u - beta sqrt(1 - u^2) <= v <= rho u + beta sqrt(1 - u^2) with beta^2 = 1 -
+    rho^2, and its area is pi beta. Its two arcs cross v = V at u = rho V +- beta sqrt(1 - V^2). Between two
+    neighbouring crossings each arc stays below, in or above the rectangle, and its integral has a closed form.
     """
     beta = np.sqrt((1.0 - rho) * (1.0 + rho))
     first, last = np.clip(left, -1.0, 1.0), np.clip(right, -1.0, 1.0)
@@ -125,6 +125,6 @@ def _ellipse_shares(left: F8, right: F8, bottom: F8, top: F8, rho: F8) -> F8:
 
 
 def _arc_integral(u: F8) -> F8:
-    """The integral of sqrt(1 - u^2)."""
+    """Return the integral of sqrt(1 - u^2)."""
     integral: F8 = 0.5 * (u * np.sqrt((1.0 - u) * (1.0 + u)) + np.arcsin(u))
     return integral

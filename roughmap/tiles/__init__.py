@@ -1,1 +1,1 @@
-"""Where cells live: the table of tiles, their memory, and their ways out of it and back."""
+"""Storage of cells: the table of tiles, their memory, and how they leave it and return."""

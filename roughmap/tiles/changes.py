@@ -1,4 +1,4 @@
-"""What counts as changed: tiles with a changed cell, and those whose one-cell ring has one, at every level."""
+"""Which tiles count as changed, at every level: those with a changed cell in them or in the ring of cells around."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 @inline
 def _low_bits(number: Scalar) -> Scalar:
-    """A word with the lowest ``number`` (cut to 0 .. 64) bits set."""
+    """Return a word with the lowest ``number`` bits set; ``number`` is clipped to 0 .. 64."""
     if number <= 0:
         return np.uint64(0)
     if number >= TILE_CELLS:
@@ -24,16 +24,16 @@ def _low_bits(number: Scalar) -> Scalar:
 
 @kernel
 def mark_changed(level: int, table: I4, keys: U8, sequence: I8, tx: I4, ty: I4, bits: U8, now: int) -> None:
-    """Give sequence ``now`` to the tiles of a level that changed, or whose one-cell ring changed.
+    """Set the sequence ``now`` for the tiles of a level that changed, or whose one-cell ring changed.
 
-    ``tx``, ``ty`` (T,), ``bits`` (T, 64): level-0 tiles with their changed cells. A neighbour's ring is what lies
-    within one cell of this level, 2^level cells of level 0, of the border between them.
+    ``tx``, ``ty`` (T,), ``bits`` (T, 64): level-0 tiles with their changed cells. A changed cell lies in a neighbour's
+    ring if it is within one cell of this level, 2^level cells of level 0, of the common border.
     """
     side = np.int64(1) << level
     for n in range(len(tx)):
         x = np.int64(tx[n]) >> level
         y = np.int64(ty[n]) >> level
-        # The tile's place within its ancestor, in cells of level 0; the ancestor is 64 * side of them wide.
+        # Offset of the tile in its ancestor, which is 64 * side level-0 cells wide, in level-0 cells.
         left = (np.int64(tx[n]) - (x << level)) << _SHIFT
         foot = (np.int64(ty[n]) - (y << level)) << _SHIFT
         west = _low_bits(side - left)

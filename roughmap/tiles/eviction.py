@@ -1,4 +1,4 @@
-"""The way of tiles out of memory, while readers read and the map may go on."""
+"""Moving tiles from memory to the shelf while readers and the map go on."""
 
 import numpy as np
 
@@ -8,13 +8,14 @@ from roughmap.tiles.table import TileTable
 
 
 class Eviction:
-    """Some tiles on their way to the shelf: chosen under the map's lock, written without it, left behind under it.
+    """The eviction of some tiles: chosen under the map's lock, written without it, dropped from memory under it.
 
-    The tiles are those that were not needed for the longest; none that a reader has pinned, which would not be freed.
+    The least recently used tiles are chosen. Tiles that a reader has pinned are not, since their memory would not be
+    freed.
 
     Attributes:
-        number: how many tiles were chosen; fewer than asked for if there are no more, or the shelf has no room.
-        short: whether the shelf's room was the reason.
+        number: number of tiles chosen; fewer than requested if there are no more, or if the shelf has no more room.
+        short: whether the room on the shelf was the limit.
     """
 
     def __init__(self, table: TileTable, number: int) -> None:
@@ -36,7 +37,7 @@ class Eviction:
         table.pool.pin(self._slots)
 
     def write(self) -> None:
-        """Put the tiles on the shelf, one after the other; needs no lock. OSError if the shelf can't take one."""
+        """Write the tiles to the shelf, one by one, without the lock. OSError if the shelf cannot take one."""
         pool, shelf = self._table.pool, self._table.shelf
         for n, (slot, place) in enumerate(zip(self._slots.tolist(), self._places.tolist(), strict=True)):
             records = pool.records(slot)
@@ -46,9 +47,9 @@ class Eviction:
             self._written = n + 1
 
     def close(self) -> None:
-        """Under the lock: those tiles leave memory that were written and have not changed meanwhile."""
+        """Drop the tiles that were written and have not changed meanwhile from memory; call it under the lock."""
         table = self._table
-        # A tile that was written meanwhile, being pinned, has another slot now: the map has left this one.
+        # The slots are pinned: a tile that changed meanwhile has moved to a new slot, and this one is no longer live.
         gone = (np.arange(self.number) < self._written) & table.pool.live[self._slots]
         entries = self._entries[gone]
         table.digest[entries], table.digest_known[entries] = self._digests[gone], True

@@ -1,4 +1,4 @@
-"""Which tiles there are: a hash from tile numbers to entries, in arrays that kernels can use."""
+"""Index of the tiles of a level: a hash from tile numbers to entries, in arrays for the kernels."""
 
 from typing import TypeVar
 
@@ -12,28 +12,28 @@ from roughmap.jit import inline, kernel
 T = TypeVar("T", bound=np.generic)
 
 TileBox = tuple[int, int, int, int]
-"""Inclusive tile numbers x0, y0, x1, y1."""
+"""Tile numbers x0, y0, x1, y1, inclusive."""
 
 TILE_LIMIT = 1 << (31 - TILE_SHIFT)
-"""Tile numbers lie in [-TILE_LIMIT, TILE_LIMIT): those of cells whose numbers fit 32 bits."""
+"""Tile numbers lie in [-TILE_LIMIT, TILE_LIMIT), so that cell numbers fit 32 bits."""
 
 
 @inline
 def tile_key(tx: Scalar, ty: Scalar) -> Scalar:
-    """Both tile numbers in one word."""
+    """Pack both tile numbers into one word."""
     return (np.uint64(np.uint32(tx)) << np.uint64(32)) | np.uint64(np.uint32(ty))
 
 
 @inline
 def probe(table: I4, key: Scalar) -> Scalar:
-    """Where in ``table`` (a power of two long) the search for ``key`` begins."""
+    """Return where the search for ``key`` begins in ``table``, whose length is a power of two."""
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     return np.int64((mixed >> np.uint64(32)) & np.uint64(len(table) - 1))
 
 
 @inline
 def find(table: I4, keys: U8, key: Scalar) -> Scalar:
-    """Entry of ``key``, or -1. Linear probing; the table is never more than half full."""
+    """Return the entry of ``key``, or -1. Linear probing; the table is never more than half full."""
     place = probe(table, key)
     while True:
         entry = table[place]
@@ -43,8 +43,8 @@ def find(table: I4, keys: U8, key: Scalar) -> Scalar:
 
 
 @inline
-def place_key(table: I4, key: Scalar, entry: Scalar) -> None:
-    """Write ``entry`` under ``key``, which is not in the table yet."""
+def insert_key(table: I4, key: Scalar, entry: Scalar) -> None:
+    """Insert ``entry`` under ``key``, which must not be in the table yet."""
     place = probe(table, key)
     while table[place] >= 0:
         place = (place + 1) & (len(table) - 1)
@@ -52,24 +52,24 @@ def place_key(table: I4, key: Scalar, entry: Scalar) -> None:
 
 
 @inline
-def row_of(table: I4, keys: U8, work: I8, key: Scalar, number: Scalar) -> Scalar:
-    """The row of ``key`` among ``number``, a new one without work if it is not there; and how many there are then."""
+def find_or_add(table: I4, keys: U8, work: I8, key: Scalar, number: Scalar) -> Scalar:
+    """Return the row of ``key`` and the number of rows, after adding a row with ``work`` 0 if there was none."""
     row = find(table, keys, key)
     if row < 0:
         row = number
         keys[number] = key
         work[number] = 0
-        place_key(table, key, number)
+        insert_key(table, key, number)
         number += 1
     return row, number
 
 
 @kernel
 def rehash(table: I4, keys: U8, size: int) -> None:
-    """Fill an emptied table with the first ``size`` keys."""
+    """Rebuild the table from the first ``size`` keys."""
     table[:] = -1
     for entry in range(size):
-        place_key(table, keys[entry], entry)
+        insert_key(table, keys[entry], entry)
 
 
 @kernel
@@ -83,7 +83,7 @@ def _insert_tiles(
     new_y: I4,
     shift: int,
 ) -> int:
-    """Insert the ancestors ``shift`` levels up that are not there yet; the new number of entries."""
+    """Insert the ancestors ``shift`` levels up that are missing; return the new number of entries."""
     for n in range(len(new_x)):
         x = np.int32(new_x[n] >> shift)
         y = np.int32(new_y[n] >> shift)
@@ -92,7 +92,7 @@ def _insert_tiles(
             keys[size] = key
             tx[size] = x
             ty[size] = y
-            place_key(table, key, size)
+            insert_key(table, key, size)
             size += 1
     return size
 
@@ -107,7 +107,7 @@ def _find_box(
     y1: int,
     out: I4,
 ) -> int:
-    """Entries of a box, ascending by (x, y); their number."""
+    """Write the entries of a box to ``out``, ascending by (x, y); return their number."""
     number = 0
     for x in range(x0, x1 + 1):
         for y in range(y0, y1 + 1):
@@ -119,32 +119,35 @@ def _find_box(
 
 
 def grown(array: npt.NDArray[T], size: int) -> npt.NDArray[T]:
-    """A copy of ``array`` with ``size`` rows, the new ones zero."""
+    """Return a copy of ``array`` with ``size`` rows, the new ones zero."""
     larger = np.zeros((size, *array.shape[1:]), array.dtype)
     larger[: len(array)] = array
     return larger
 
 
 def paired(tx: I4, ty: I4) -> I4:
-    """(T, 2) of two (T,): half the time of numpy's column_stack where there are few."""
+    """Return (T, 2) from two (T,); half the time of numpy's column_stack for few tiles."""
     tiles = np.empty((len(tx), 2), np.int32)
     tiles[:, 0], tiles[:, 1] = tx, ty
     return tiles
 
 
 def ascending(known: I4, tx: I4, ty: I4) -> I4:
-    """The entries of (T,) different tiles, ascending by signed (tx, ty), read-only; ``known``: the first of them so."""
+    """Return the entries of (T,) different tiles, ascending by signed (tx, ty), read-only.
+
+    ``known``: the first len(known) entries in that order, from an earlier call.
+    """
     if len(known) == len(tx):
         return known
     order = np.concatenate([known, np.arange(len(known), len(tx), dtype=np.int32)])
     packed = (tx[order].astype(np.int64) << 32) + ty[order]
-    order = order[np.argsort(packed, kind="stable")]  # this kind merges what is in order already
+    order = order[np.argsort(packed, kind="stable")]  # this kind merges runs that are already in order
     order.flags.writeable = False
     return order
 
 
 class LevelIndex:
-    """The tiles of one level that exist, each with its sequence. Entries are never removed."""
+    """The existing tiles of one level, each with its sequence. Entries are never removed."""
 
     def __init__(self) -> None:
         self.size = 0
@@ -153,16 +156,16 @@ class LevelIndex:
         self.tx = np.zeros(32, np.int32)
         self.ty = np.zeros(32, np.int32)
         self.sequence = np.zeros(32, np.int64)
-        self._order = np.zeros(0, np.int32)  # the first so many entries, ascending
+        self._order = np.zeros(0, np.int32)  # the first entries, ascending; extended when it is asked for
 
     @property
     def capacity(self) -> int:
-        """Entries for which there is room: half of the hash table."""
+        """Number of entries that fit: half the length of the hash table."""
         return len(self.keys)
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the arrays, the entries' order too, whether it was asked for yet or not."""
+        """Bytes of the arrays, including the order of the entries, even if it has not been computed yet."""
         arrays = (self.table, self.keys, self.tx, self.ty, self.sequence)
         return sum(a.nbytes for a in arrays) + self.size * self._order.itemsize
 
@@ -180,12 +183,12 @@ class LevelIndex:
         self.table, self.keys, self.tx, self.ty, self.sequence = table, keys, tx, ty, sequence
 
     def insert(self, new_x: I4, new_y: I4, shift: int = 0) -> None:
-        """Insert the tiles ``(new_x >> shift, new_y >> shift)`` that are not there yet, in this order."""
+        """Insert the tiles ``(new_x >> shift, new_y >> shift)`` that are missing, in this order."""
         self.reserve(len(new_x))
         self.size = _insert_tiles(self.table, self.keys, self.tx, self.ty, self.size, new_x, new_y, shift)
 
     def find(self, tx: int, ty: int) -> int:
-        """Entry of a tile, or -1."""
+        """Return the entry of a tile, or -1."""
         number, entries = self._probe_box((tx, ty, tx, ty))
         return int(entries[0]) if number else -1
 
@@ -195,7 +198,7 @@ class LevelIndex:
         return _find_box(self.table, self.keys, x0, y0, x1, y1, out), out
 
     def entries(self, box: TileBox | None = None) -> I4:
-        """Entries of the tiles in ``box`` (inclusive; None: all), ascending by signed (tx, ty); not to be changed."""
+        """Return the entries of the tiles in ``box`` (None: all), ascending by signed (tx, ty); read-only."""
         tx, ty = self.tx[: self.size], self.ty[: self.size]
         if box is None:
             self._order = ascending(self._order, tx, ty)
@@ -203,7 +206,7 @@ class LevelIndex:
         x0, y0, x1, y1 = box
         if x1 < x0 or y1 < y0:
             return np.zeros(0, np.int32)
-        # Few tiles are asked for one by one; for many, one look at every entry is cheaper.
+        # A small box is probed tile by tile; for a large one, a scan of all entries is cheaper.
         if (x1 - x0 + 1) * (y1 - y0 + 1) <= max(64, self.size) and min(x0, y0) >= -(1 << 31) and max(x1, y1) < 1 << 31:
             number, out = self._probe_box(box)
             return out[:number]
@@ -211,29 +214,29 @@ class LevelIndex:
         return chosen[np.lexsort((ty[chosen], tx[chosen]))]
 
     def changed(self, after: int) -> I4:
-        """Entries of the tiles whose sequence is larger than ``after``, ascending by signed (tx, ty)."""
+        """Return the entries of the tiles whose sequence is larger than ``after``, ascending by signed (tx, ty)."""
         chosen = np.flatnonzero(self.sequence[: self.size] > after).astype(np.int32)
         return chosen[np.lexsort((self.ty[chosen], self.tx[chosen]))]
 
     def versions(self) -> "TileVersions":
-        """The tiles as they are now, to be read while the index goes on."""
+        """Return the tiles as they are now, to be read while the index changes."""
         return TileVersions(self.tx[: self.size], self.ty[: self.size], self.sequence[: self.size].copy(), self._order)
 
     def select(self, box: TileBox | None = None) -> tuple[I4, I4, I8]:
-        """Copies of (tx, ty, sequence) of the tiles in ``box`` (inclusive; None: all), ascending by (tx, ty)."""
+        """Return copies of (tx, ty, sequence) of the tiles in ``box`` (None: all), ascending by (tx, ty)."""
         chosen = self.entries(box)
         return self.tx[chosen], self.ty[chosen], self.sequence[chosen]
 
 
 class TileVersions:
-    """Which tiles a level had at one moment, and the sequence of each; not changed by what the map does meanwhile."""
+    """The tiles of a level and their sequences at one moment; later changes of the map do not show."""
 
     def __init__(self, tx: I4, ty: I4, sequence: I8, order: I4) -> None:
-        self._tx, self._ty, self._sequence = tx, ty, sequence  # entries only come: their numbers need no copy
+        self._tx, self._ty, self._sequence = tx, ty, sequence  # existing entries never move: no copy needed
         self._order = order
 
     def select(self, box: TileBox | None = None) -> tuple[I4, I8]:
-        """(T, 2) tiles in ``box`` (inclusive; None: all), ascending by (x, y), and (T,) their sequences."""
+        """Return the (T, 2) tiles in ``box`` (None: all), ascending by (x, y), and their (T,) sequences."""
         tx, ty = self._tx, self._ty
         if box is None:
             chosen = self._order = ascending(self._order, tx, ty)

@@ -1,10 +1,10 @@
-"""Tiles into a table that were made before: checked, and at the map's sequence as it is now."""
+"""Loading of stored tiles into a table: checks, and entries at the map's current sequence."""
 
 import numpy as np
 
 from roughmap.arrays import I4, I8, U1, Records
 from roughmap.cell import CELL_DTYPE, STAMP_LIMIT_NS, TILE_CELLS
-from roughmap.points.scan import checked_stamp
+from roughmap.points.checks import checked_stamp
 from roughmap.tiles.index import TILE_LIMIT
 from roughmap.tiles.shelf import copy_known_rows
 from roughmap.tiles.table import TileTable
@@ -20,7 +20,7 @@ def load_tile(
     newest_ns: int,
     digest: bytes | None,
 ) -> None:
-    """One tile with its records; see `RoughMap.load_tile`."""
+    """Load one tile with its records; see `RoughMap.load_tile`."""
     if not (-TILE_LIMIT <= tx < TILE_LIMIT and -TILE_LIMIT <= ty < TILE_LIMIT):
         raise ValueError(f"tile ({tx}, {ty}): expected numbers in [{-TILE_LIMIT}, {TILE_LIMIT})")
     if records.shape != (TILE_CELLS * TILE_CELLS,) or records.dtype != CELL_DTYPE:
@@ -31,7 +31,7 @@ def load_tile(
     if not (records["count"] != 0).any():
         raise ValueError(f"tile ({tx}, {ty}): expected a known cell")
     if table.levels[0].find(tx, ty) >= 0:
-        raise ValueError(f"tile ({tx}, {ty}): is in the map already")
+        raise ValueError(f"tile ({tx}, {ty}): already in the map")
     entry = int(table.insert(np.array([tx], np.int32), np.array([ty], np.int32))[0])
     copy_known_rows(records, table.pool.writable(int(table.slot[entry])))
     table.used[entry] = sequence
@@ -46,7 +46,7 @@ def load_tile(
 def load_shelved(
     table: TileTable, sequence: int, tx: I4, ty: I4, oldest_ns: I8, newest_ns: I8, digests: U1, places: I4
 ) -> None:
-    """Many tiles that lie on the shelf; see `RoughMap.load_shelved`."""
+    """Load many tiles that lie on the shelf; see `RoughMap.load_shelved`."""
     number = len(tx)
     if table.size:
         raise ValueError(f"expected an empty map, found {table.size} tiles")
@@ -56,7 +56,7 @@ def load_shelved(
     if lowest < -TILE_LIMIT or highest >= TILE_LIMIT:
         raise ValueError(f"expected tile numbers in [{-TILE_LIMIT}, {TILE_LIMIT}), found {lowest} to {highest}")
     if len(np.unique((tx.astype(np.int64) << 32) + ty)) < number:
-        raise ValueError("a tile is there twice")
+        raise ValueError("expected different tiles, found one twice")
     if not (int(oldest_ns.min()) >= 0 and bool((oldest_ns <= newest_ns).all()) and newest_ns.max() < STAMP_LIMIT_NS):
         raise ValueError("expected stamps in [0, 2^32 s), the oldest not after the newest")
     entries = table.insert(tx, ty, ~places)

@@ -1,45 +1,46 @@
-"""Where tiles lie that are not in memory."""
+"""The shelf: storage for the tiles that are not in memory."""
 
 from roughmap.arrays import Records
 from roughmap.cell import TILE_CELLS
-from roughmap.tiles.slots import Places
+from roughmap.tiles.places import PlacePool
 
 
-class Shelf(Places):
-    """Places outside memory, a tile each. This one has none: whoever wants tiles to leave memory gives the map another.
+class Shelf(PlacePool):
+    """Places outside memory, one tile each. This base class has no room: all tiles then stay in memory.
 
-    What is in a place does not change between `write` and the moment nobody needs it any more.
+    A subclass, such as a spill file, gives tiles a place to go. The content of a place must not change from `write`
+    until the place is free.
     """
 
     @property
     def room(self) -> int:
-        """How many places `allocate` may still be asked for."""
+        """Number of places that `allocate` can still hand out."""
         return 0
 
     def write(self, place: int, records: Records, rows: int) -> None:
-        """Put a tile's (4096,) records into an allocated place; ``rows``: bit j for a row with a known cell.
+        """Write a tile's (4096,) records to an allocated place; ``rows``: bit j is set if row j has a known cell.
 
-        Without the lock. OSError if that fails; the place is then released as it is.
+        Called without the lock. OSError if the write fails; the caller then releases the place.
         """
         raise NotImplementedError
 
     def read(self, place: int, records: Records) -> None:
-        """Fill the (4096,) zeroed records of a live or pinned place; rows without a known cell are left alone.
+        """Read a live or pinned place into (4096,) zeroed records; rows without a known cell are not written.
 
-        Without the lock, from any thread. An exception if what is there is not what was written.
+        Called without the lock, from any thread. Raises if the content is not what was written.
         """
         raise NotImplementedError
 
 
 def copy_known_rows(source: Records, target: Records) -> None:
-    """Copy (4096,) records onto zeroed ones. Rows without a known cell are left alone: their page is never touched."""
+    """Copy (4096,) records onto zeroed ones. Rows without a known cell are skipped: their pages stay unallocated."""
     rows = source.reshape(TILE_CELLS, TILE_CELLS)
     known = (rows["count"] != 0).any(axis=1)
     target.reshape(TILE_CELLS, TILE_CELLS)[known] = rows[known]
 
 
 def runs_of(rows: int) -> list[tuple[int, int]]:
-    """The runs (start, stop) of set bits."""
+    """Return the runs (start, stop) of set bits."""
     found = []
     start = 0
     while rows >> start:

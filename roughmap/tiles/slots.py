@@ -1,4 +1,4 @@
-"""Where tiles live: slots of 4096 cells, in slabs of anonymous memory that kernels reach by address."""
+"""Tiles in memory: slots of 4096 cells in slabs of anonymous memory, which kernels access by address."""
 
 import contextlib
 import mmap
@@ -10,36 +10,37 @@ from roughmap.arrays import F8, I4, U8, Flags, Records, Scalar
 from roughmap.cell import CELL_DTYPE, TILE_CELLS
 from roughmap.intrinsics import pointer
 from roughmap.jit import inline, kernel
+from roughmap.tiles.places import PlacePool
 
 SLOT_CELLS = TILE_CELLS * TILE_CELLS
 SLOT_BYTES = SLOT_CELLS * CELL_DTYPE.itemsize
 SLAB_SLOTS = 64
 DENSE_ROWS = 48
-"""A tile with at least so many rows known costs little more when all of its memory is there."""
+"""A tile with at least this many known rows costs little more if all of its memory is allocated."""
 
 KEPT_SLOTS = 128
-"""Free dense slots that keep their memory, 32 MiB: while somebody reads, each scan copies the tiles that it changes,
-and page faults would cost more than the copies."""
+"""Free dense slots that keep their memory, 32 MiB. While a reader holds tiles, each scan copies the tiles that it
+changes, and page faults would cost more than the copies."""
 
 CELL_WORDS = CELL_DTYPE.itemsize // 8
-"""Eight-byte words of a cell: word 0 is count | updated << 32, words 1..7 are the floats in the dtype's order."""
+"""Eight-byte words of a cell: word 0 is count | updated << 32, words 1 to 7 are the floats in CELL_DTYPE's order."""
 
 
 @inline
 def floats(address: Scalar) -> F8:
-    """The slot at ``address`` as 8 * 4096 float64 words; words that are multiples of 8 hold no float."""
+    """Return the slot at ``address`` as 8 * 4096 float64 words. Every eighth word, from word 0 on, is not a float."""
     return carray(pointer(address, np.float64(0.0)), (SLOT_CELLS * CELL_WORDS,))
 
 
 @inline
 def words(address: Scalar) -> U8:
-    """The slot at ``address`` as 8 * 4096 uint64 words."""
+    """Return the slot at ``address`` as 8 * 4096 uint64 words."""
     return carray(pointer(address, np.uint64(0)), (SLOT_CELLS * CELL_WORDS,))
 
 
 @kernel
 def _copy_known_rows(source: Scalar, target: Scalar) -> None:
-    """Copy a slot onto a zeroed one. Rows without a known cell are left alone: their page is never touched."""
+    """Copy a slot onto a zeroed one. Rows without a known cell are skipped, so that their pages stay unallocated."""
     a = words(source)
     b = words(target)
     row = TILE_CELLS * CELL_WORDS
@@ -54,7 +55,7 @@ def _copy_known_rows(source: Scalar, target: Scalar) -> None:
 
 @kernel
 def _known_rows(address: Scalar) -> int:
-    """Which rows of a slot hold a known cell: bit j for row j."""
+    """Return which rows of a slot hold a known cell: bit j for row j."""
     a = words(address)
     row = TILE_CELLS * CELL_WORDS
     rows = np.uint64(0)
@@ -74,97 +75,35 @@ def _clear(address: Scalar) -> None:
         a[n] = 0
 
 
-class Places:
-    """Numbered places that are handed out, counted by pins, and free again when neither map nor reader needs them.
+class SlotPool(PlacePool):
+    """Slots of 256 KiB in memory: zeroed when handed out, returned to the system when freed.
 
-    All methods are the writer's, under its lock. What a place is, and how more come to be, the subclasses say.
-    """
-
-    def __init__(self) -> None:
-        self.pins = np.zeros(0, np.int32)
-        self.live = np.zeros(0, np.bool_)
-        self._free: list[int] = []
-
-    @property
-    def used(self) -> int:
-        """Places that are not free."""
-        return len(self.pins) - len(self._free)
-
-    def _extend(self, number: int) -> None:
-        """So many more free places, handed out in their order. All or none, as with all growth: memory is taken before
-        anything changes."""
-        first = len(self.pins)
-        pins = np.append(self.pins, np.zeros(number, np.int32))
-        live = np.append(self.live, np.zeros(number, np.bool_))
-        free = [*self._free, *range(first + number - 1, first - 1, -1)]
-        self.pins, self.live, self._free = pins, live, free
-
-    def _grow(self) -> None:
-        """At least one more place; MemoryError if there can be none."""
-        raise NotImplementedError
-
-    def _vacated(self, place: int) -> None:
-        """Nobody needs what is in this place any more: it is free."""
-        self._free.append(place)
-
-    def allocate(self, number: int) -> I4:
-        """``number`` places, live. All or none: MemoryError leaves them as they were, or more."""
-        while len(self._free) < number:
-            self._grow()
-        taken = self._free[len(self._free) - number :]
-        del self._free[len(self._free) - number :]
-        places = np.array(taken[::-1], np.int32)
-        self.live[places] = True
-        return places
-
-    def release(self, places: I4) -> None:
-        """The map no longer uses these places. Those that are pinned are freed by their last unpin."""
-        self.live[places] = False
-        self._free_dead(places)
-
-    def pin(self, places: I4) -> None:
-        """Keep what these (different) places hold unchanged until they are unpinned as often."""
-        self.pins[places] += 1
-
-    def unpin(self, places: I4) -> None:
-        """Undo one :meth:`pin`."""
-        self.pins[places] -= 1
-        self._free_dead(places)
-
-    def _free_dead(self, places: I4) -> None:
-        for place in places[(self.pins[places] == 0) & ~self.live[places]].tolist():
-            self._vacated(place)
-
-
-class SlotPool(Places):
-    """Slots of 256 KiB in memory, handed out zeroed, given back to the system when freed.
-
-    Slabs are private anonymous maps of zero pages: one row of 64 cells is one page, so that a tile of which only a
-    part is known costs only the rows that were written. Tiles of which most is known, or soon will be, come into slabs
-    of their own, of huge pages: a page fault costs more than the update of a hundred cells. A slab never moves and is
-    never unmapped while a view of it is alive. :meth:`records` and :meth:`copy` of pinned slots need no lock.
+    Slabs are private anonymous maps of zero pages. One row of 64 cells is one page, so that a partly known tile costs
+    only the rows that were written. Dense slots, for tiles that are mostly known or soon will be, lie in slabs of huge
+    pages, because a page fault costs more than the update of a hundred cells. A slab never moves, and is never unmapped
+    while a view of it is alive. :meth:`records` and :meth:`copy` of pinned slots need no lock.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self._slabs: list[mmap.mmap] = []
         self._free_dense: list[int] = []
-        self._written: set[int] = set()  # free dense slots that kept their memory, and what was in it
+        self._written: set[int] = set()  # free dense slots that kept their memory and its content
         self.address = np.zeros(0, np.uint64)
         self.dense = np.zeros(0, np.bool_)
 
     @property
     def used(self) -> int:
-        """Slots that are not free."""
+        """Number of slots that are not free."""
         return super().used - len(self._free_dense)
 
     def _map(self, advice: int) -> None:
-        """Another slab; its slots are the last of `_free`."""
+        """Add a slab; its slots are the last of `_free`."""
         try:
             slab = mmap.mmap(-1, SLAB_SLOTS * SLOT_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-        except OSError as error:  # which is what the system's refusal comes as
+        except OSError as error:  # how mmap reports that memory is short
             raise MemoryError(f"no memory for {SLAB_SLOTS} more tiles: {error.strerror}") from None
-        with contextlib.suppress(OSError):  # a kernel without huge pages knows no such advice
+        with contextlib.suppress(OSError):  # not supported by kernels without huge pages
             slab.madvise(advice)
         start = np.frombuffer(slab, np.uint8).ctypes.data
         slabs = [*self._slabs, slab]
@@ -174,7 +113,7 @@ class SlotPool(Places):
         self._slabs, self.address, self.dense = slabs, address, dense
 
     def _grow(self) -> None:
-        self._map(mmap.MADV_NOHUGEPAGE)  # with huge pages, one known row would cost eight tiles
+        self._map(mmap.MADV_NOHUGEPAGE)  # with huge pages, one known row would cost as much as eight tiles
 
     def _grow_dense(self) -> None:
         self._map(mmap.MADV_HUGEPAGE)
@@ -182,7 +121,7 @@ class SlotPool(Places):
         del self._free[-SLAB_SLOTS:]
 
     def allocate(self, number: int, dense: Flags | None = None) -> I4:
-        """``number`` zeroed slots; ``dense`` (number,): for tiles of which most will be known."""
+        """Return ``number`` zeroed slots; ``dense`` (number,) marks those for tiles that will be mostly known."""
         if dense is None or not dense.any():
             return super().allocate(number)
         wanted = int(np.count_nonzero(dense))
@@ -197,7 +136,7 @@ class SlotPool(Places):
             _clear(self.address[slot])
         return slots
 
-    def _vacated(self, place: int) -> None:
+    def _recycle(self, place: int) -> None:
         if self.dense[place] and len(self._written) < KEPT_SLOTS:
             self._written.add(place)
         else:
@@ -208,12 +147,12 @@ class SlotPool(Places):
             self._free.append(place)
 
     def _give_back(self, slot: int) -> None:
-        """The slot's pages go back to the system; the next reader of them sees zeros."""
+        """Return the slot's pages to the system; they read as zeros from then on."""
         slab, number = divmod(slot, SLAB_SLOTS)
         self._slabs[slab].madvise(mmap.MADV_DONTNEED, number * SLOT_BYTES, SLOT_BYTES)
 
     def trim(self) -> None:
-        """Where memory is short: no free slot keeps any."""
+        """Return the memory of all free slots, because memory is short."""
         while self._written:
             self._give_back(self._written.pop())
 
@@ -222,20 +161,20 @@ class SlotPool(Places):
         _copy_known_rows(self.address[source], self.address[target])
 
     def writable(self, slot: int) -> Records:
-        """The slot's (4096,) CELL_DTYPE records, j outer, i inner; a view, not a copy."""
+        """Return a view of the slot's (4096,) CELL_DTYPE records, j outer, i inner."""
         slab, place = divmod(int(slot), SLAB_SLOTS)
         return np.frombuffer(self._slabs[slab], CELL_DTYPE, SLOT_CELLS, place * SLOT_BYTES)
 
     def records(self, slot: int) -> Records:
-        """The same, read-only."""
+        """Return the same view, read-only."""
         view = self.writable(slot)
         view.flags.writeable = False
         return view
 
     def known_rows(self, slot: int) -> int:
-        """Which of the slot's rows hold a known cell: bit j for row j."""
+        """Return which rows of the slot hold a known cell: bit j for row j."""
         return int(_known_rows(self.address[slot]))
 
     def is_dense(self, slot: int) -> bool:
-        """Whether the slot is for tiles of which most is known, or should be."""
+        """Whether the slot is dense, or its tile is known well enough for a dense one."""
         return bool(self.dense[slot]) or self.known_rows(slot).bit_count() >= DENSE_ROWS

@@ -1,4 +1,4 @@
-"""The sparse table of tiles: what exists, where it lies, when it changed."""
+"""The sparse table of tiles: which exist, where each lies, when each changed."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -12,20 +12,21 @@ from roughmap.tiles.index import LevelIndex, TileBox, grown
 from roughmap.tiles.shelf import Shelf
 from roughmap.tiles.slots import SLOT_BYTES, SLOT_CELLS, SlotPool
 
-Hold = Callable[[], AbstractContextManager[object]]
-"""Takes, for a moment, the lock under which readers pin tiles."""
+ReaderLock = Callable[[], AbstractContextManager[object]]
+"""Returns a context manager that holds the lock under which readers pin tiles."""
 
 
 class TileTable:
-    """Tiles of level 0 with their slots and stamps, and the tiles above them with their sequences.
+    """Tiles of level 0 with their slots and stamps, and the tiles of the levels above with their sequences.
 
-    Entries of level 0 number the rows of ``slot``, ``used``, ``oldest_ns``, ``newest_ns``, ``digest``, ``digest_known``
-    and of ``levels[0]`` (tx, ty, sequence). ``levels[z]`` holds the ancestors of every tile, z levels up. A tile in the
-    table has a known cell. ``slot`` is where it lies: of the pool if not negative, else the place ``~slot`` of the
-    shelf; what lies there has its digest known. ``used`` is the sequence at which the tile was last needed.
+    An entry of level 0 is a row of ``slot``, ``used``, ``oldest_ns``, ``newest_ns``, ``digest``, ``digest_known`` and
+    of ``levels[0]`` (tx, ty, sequence). ``levels[z]`` holds the ancestors of every tile, z levels up. Every tile in the
+    table has a known cell. A ``slot`` >= 0 is a slot of the pool; a negative one means place ``~slot`` of the shelf,
+    and the digest is then known. ``used`` is the sequence at which the tile was last needed.
 
-    Everything is the writer's, under its lock, but :meth:`bring_back`, :meth:`digests`, which it calls without the lock
-    (a reader finds a digest whole, or not known yet), and :meth:`records` of slots that the caller has pinned.
+    Only the writer calls these methods, under its lock. Exceptions: the writer calls :meth:`bring_back` and
+    :meth:`digests` without the lock (a reader sees a digest complete or as not known), and any thread may call
+    :meth:`records` for slots that it has pinned.
     """
 
     def __init__(self, levels: int, shelf: Shelf) -> None:
@@ -41,26 +42,25 @@ class TileTable:
 
     @property
     def size(self) -> int:
-        """Tiles of level 0."""
+        """Number of tiles of level 0."""
         return self.levels[0].size
 
     @property
     def nbytes(self) -> int:
-        """Bytes taken at most: slots counted whole, and the tables."""
+        """Upper limit of the bytes in use: whole slots and the tables."""
         arrays = (self.slot, self.used, self.oldest_ns, self.newest_ns, self.digest, self.digest_known)
         return self.pool.used * SLOT_BYTES + sum(a.nbytes for a in arrays) + sum(level.nbytes for level in self.levels)
 
     @property
     def resident(self) -> int:
-        """Tiles of level 0 that are in memory."""
+        """Number of tiles of level 0 that are in memory."""
         return int(np.count_nonzero(self.slot[: self.size] >= 0))
 
     def insert(self, tx: I4, ty: I4, slots: I4 | None = None, dense: Flags | None = None) -> I4:
-        """Give (T,) different tiles that are not there yet ``slots``, or a zeroed slot each; their entries.
+        """Insert (T,) different new tiles with ``slots`` (None: a zeroed slot each) and return their entries.
 
-        ``dense`` (T,): see `SlotPool.allocate`.
-
-        All memory is taken before anything changes: after a MemoryError the table is as it was.
+        ``dense`` (T,): see `SlotPool.allocate`. All memory is allocated before anything changes: after a MemoryError
+        the table is as it was.
         """
         number = len(tx)
         for level in self.levels:
@@ -81,37 +81,37 @@ class TileTable:
         self.slot[entries] = slots
         return entries
 
-    def bring_back(self, entries: I4, hold: Hold) -> None:
-        """Those of these tiles that are on the shelf come into memory: the writer's, without its lock.
+    def bring_back(self, entries: I4, reader_lock: ReaderLock) -> None:
+        """Read those of these tiles that are on the shelf back into memory. The writer calls it without its lock.
 
-        ``hold`` is called for the moments at which readers would notice, and never while the shelf is read: only the
-        writer takes tiles out of the table or out of memory. MemoryError, or the shelf's error, leaves all as it was.
+        ``reader_lock`` is held only for the moments at which the table changes, never while the shelf is read; that is
+        safe because only the writer moves tiles. A MemoryError, or an error of the shelf, leaves the table as it was.
         """
         entries = entries[self.slot[entries] < 0]
         if not len(entries):
             return
         places = ~self.slot[entries]
-        with hold():
+        with reader_lock():
             slots = self.pool.allocate(len(entries))
         try:
             for place, slot in zip(places.tolist(), slots.tolist(), strict=True):
                 self.shelf.read(place, self.pool.writable(slot))
         except BaseException:
-            with hold():
+            with reader_lock():
                 self.pool.release(slots)
             raise
-        with hold():
+        with reader_lock():
             self.slot[entries] = slots
             self.shelf.release(places)
 
-    def open(self, entries: I4) -> None:
-        """Before these tiles are written: those that are pinned get a copy.
+    def make_writable(self, entries: I4) -> None:
+        """Move those of these tiles that readers have pinned to new slots, so that all can be written (copy on write).
 
-        ValueError if one is not in memory; that and MemoryError leave each tile with the cells that it had.
+        ValueError if a tile is not in memory. After that or a MemoryError every tile still has the same cells.
         """
         if (self.slot[entries] < 0).any():
-            raise ValueError("expected tiles that are in memory")
-        shared = entries[self.pool.pins[self.slot[entries]] > 0]  # copy-on-write
+            raise ValueError("expected tiles in memory, found one on the shelf")
+        shared = entries[self.pool.pins[self.slot[entries]] > 0]
         if not len(shared):
             return
         old = self.slot[shared]
@@ -123,17 +123,17 @@ class TileTable:
         self.pool.release(old)
 
     def clear(self) -> None:
-        """Give back all slots and places; what readers have pinned stays until they unpin it."""
+        """Release all slots and places; those that readers have pinned stay until they are unpinned."""
         slots = self.slot[: self.size]
         self.pool.release(slots[slots >= 0])
         self.shelf.release(~slots[slots < 0])
 
     def select(self, box: TileBox | None = None) -> I4:
-        """Entries of the level-0 tiles in ``box`` (inclusive tile numbers; None: all), ascending by (tx, ty)."""
+        """Return the entries of the level-0 tiles in ``box`` (None: all), ascending by (tx, ty)."""
         return self.levels[0].entries(box)
 
     def digests(self) -> tuple[I4, I4, U1]:
-        """(tx, ty, digests (T, 16)) of the level-0 tiles, ascending by (tx, ty); those not known yet are made."""
+        """Return (tx, ty, digests (T, 16)) of the level-0 tiles, ascending by (tx, ty); compute those not known yet."""
         entries = self.select()
         for entry in entries[~self.digest_known[entries]].tolist():
             self.digest[entry] = np.frombuffer(tile_digest(self.records(int(self.slot[entry]))), np.uint8)
@@ -142,19 +142,19 @@ class TileTable:
         return base.tx[entries], base.ty[entries], self.digest[entries]
 
     def pin(self, slots: I4) -> None:
-        """Keep the bytes of these (different) slots as they are, until :meth:`unpin`."""
+        """Keep the bytes of these slots, all different, unchanged until :meth:`unpin`."""
         self.pool.pin(slots[slots >= 0])
         self.shelf.pin(~slots[slots < 0])
 
     def unpin(self, slots: I4) -> None:
-        """Undo one :meth:`pin`; slots that the map has left meanwhile are freed."""
+        """Undo one :meth:`pin`; slots that the map has released meanwhile become free."""
         self.pool.unpin(slots[slots >= 0])
         self.shelf.unpin(~slots[slots < 0])
 
     def records(self, slot: int) -> Records:
-        """The slot's (4096,) CELL_DTYPE records, j outer, i inner, read-only, valid while pinned.
+        """Return the slot's (4096,) CELL_DTYPE records, j outer, i inner, read-only, valid while pinned.
 
-        A view of what is in memory; what is on the shelf is read.
+        A view for a tile in memory; a tile on the shelf is read from there.
         """
         if slot >= 0:
             return self.pool.records(slot)

@@ -3,6 +3,7 @@
 from roughmap_schemas.cloud import Cloud, decode_cloud, encode_cloud
 from roughmap_schemas.config import Config, configuration_digest
 from roughmap_schemas.config_load import LoadedConfig, config_from, load_config
+from roughmap_schemas.contract import CONTRACT_VERSION
 from roughmap_schemas.encodings import check_encoding, json_encoding
 from roughmap_schemas.events import (
     EVENT,
@@ -40,6 +41,7 @@ from roughmap_schemas.selectors import CellsQuery, RegionQuery, TileQuery
 from roughmap_schemas.transform import Transform, decode_transform, encode_transform
 
 __all__ = [
+    "CONTRACT_VERSION",
     "EVENT",
     "INTEGRATED",
     "LAYERS",

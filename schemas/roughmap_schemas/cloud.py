@@ -1,4 +1,4 @@
-"""Clouds of points: ``foxglove.PointCloud`` and arrays."""
+"""Point clouds: ``foxglove.PointCloud`` from and to arrays."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -29,10 +29,10 @@ UINT32, FLOAT32, FLOAT64 = PackedElementField.UINT32, PackedElementField.FLOAT32
 COORDINATES: Final[dict[int, np.dtype[Any]]] = {FLOAT32: np.dtype("<f4"), FLOAT64: np.dtype("<f8")}
 TIMES: Final[dict[int, np.dtype[Any]]] = {UINT32: np.dtype("<u4"), **COORDINATES}
 BAD_OFFSET: Final = -1
-"""Stands for a point's time that can't be: negative, beyond 1 s, or no number. The map counts such points as `time`."""
+"""Marks an invalid time of a point: negative, beyond 1 s, or NaN. The map rejects such points as `time`."""
 
 OBJECT_BYTES: Final = 1024
-"""What a cloud without points takes."""
+"""Memory of a cloud without points."""
 
 IDENTITY: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
@@ -41,9 +41,9 @@ IDENTITY: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 class Cloud:
     """A decoded cloud.
 
-    ``points`` (N, 3) is float32 or float64, in metres in ``frame_id``; mostly a view of the payload, and then
-    read-only, strided and not aligned. ``offsets_ns`` (N,) int64 are the points' times after ``stamp_ns``; -1 where a
-    time is off, None if the cloud has no times.
+    ``points`` (N, 3) is float32 or float64, in metres in ``frame_id``. Usually it is a view of the payload, and then
+    read-only, strided and not aligned. ``offsets_ns`` (N,) int64 are the points' times after ``stamp_ns``, -1 where
+    invalid; None if the cloud has no times.
     """
 
     frame_id: str
@@ -53,7 +53,7 @@ class Cloud:
 
     @property
     def held_bytes(self) -> int:
-        """Bytes of memory that it keeps: its payload, if the points are a view of it, else theirs; its times."""
+        """Bytes of memory held: the payload if the points are a view of it, else the points; and the times."""
         array = self.points
         while isinstance(array.base, np.ndarray):
             array = array.base
@@ -64,11 +64,11 @@ class Cloud:
 def decode_cloud(payload: bytes, *, max_message: int, max_points: int, map_frame: str | None = None) -> Cloud:
     """Read a cloud; raises ``MessageFault`` (``too_large``, ``bad_message``).
 
-    Size and layout are checked before any array is made. The message's pose is applied here, in float64. Rows 0, 0, 0
-    are not moved by it, so that they stay known as no returns; only in ``map_frame`` they are points like others.
+    Size and layout are checked before any array is made. The message's pose is applied here, in float64. It does not
+    move rows of (0, 0, 0), which mean that nothing came back, except in ``map_frame``.
     """
     check_size(payload, WHAT, max_message)
-    # The points stay where they are; only what describes them is parsed. Should `data` stand twice, the last one holds.
+    # The points stay in the payload; only the other fields are parsed. As in protobuf, the last `data` counts.
     start = end = 0
     header = []
     for entry in check_outline(payload, PointCloud):
@@ -98,7 +98,7 @@ def decode_cloud(payload: bytes, *, max_message: int, max_points: int, map_frame
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Where x, y, z and perhaps t lie within a point."""
+    """Where x, y, z and the optional t lie within a point."""
 
     kind: int
     offsets: tuple[int, int, int]
@@ -106,7 +106,7 @@ class _Layout:
     """The type and offset of t."""
 
     def points(self, payload: bytes, start: int, count: int, stride: int) -> NDArray[np.floating[Any]]:
-        """Give (N, 3): a view where x, y, z are evenly spaced, else a copy."""
+        """Return the coordinates (N, 3): a view if x, y, z are evenly spaced, else a copy."""
         dtype = COORDINATES[self.kind]
         if count == 0:
             return np.empty((0, 3), dtype)
@@ -134,7 +134,7 @@ class _Layout:
 
 
 def _layout(message: Any) -> _Layout:
-    """Check the declared fields; others than x, y, z and t are skipped."""
+    """Check the fields x, y, z and t, and return their layout; other fields are ignored."""
     stride = message.point_stride
     found: dict[str, tuple[int, int]] = {}
     for field in message.fields:
@@ -156,11 +156,13 @@ def _layout(message: Any) -> _Layout:
     if "t" in found and found["t"][0] not in TIMES:
         raise bad_message(f"{WHAT}.fields: expected t as UINT32 (5), FLOAT32 (7) or FLOAT64 (8); found {found['t'][0]}")
     if stride == 0:
-        raise bad_message(f"{WHAT}.point_stride: expected at least one point's bytes; found 0")
+        raise bad_message(f"{WHAT}.point_stride: expected at least 1; found 0")
     reached = 0
     for offset, size, name in sorted((offset, TIMES[kind].itemsize, name) for name, (kind, offset) in found.items()):
         if offset < reached:
-            raise bad_message(f"{WHAT}.fields: expected fields apart; found {name} at {offset} over another one")
+            raise bad_message(
+                f"{WHAT}.fields: expected fields that do not overlap; found {name} at {offset} over another one"
+            )
         reached = offset + size
         if reached > stride:
             raise bad_message(f"{WHAT}.fields: expected {name} within point_stride {stride}; found bytes to {reached}")
@@ -175,14 +177,14 @@ def encode_cloud(
     offsets_ns: ArrayLike | None = None,
     pose: tuple[Vector, Quaternion] | None = None,
 ) -> bytes:
-    """Make a cloud's payload.
+    """Return a cloud's payload; raises ValueError.
 
-    ``points`` (N, 3) metres: float64 stays so, all else becomes float32. ``offsets_ns`` (N,) from 0 to below 2^32.
-    ``pose`` is position and x, y, z, w: that of the points' frame in ``frame_id``. Raises ValueError.
+    ``points`` (N, 3) in metres: float64 stays float64, all else becomes float32. ``offsets_ns`` (N,) from 0 to below
+    2^32. ``pose`` is the pose of the points' frame in ``frame_id``: position and quaternion x, y, z, w.
     """
     array = np.asarray(points)
     if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"points: expected the shape (N, 3), found {array.shape}")
+        raise ValueError(f"points: expected shape (N, 3), found {array.shape}")
     kind = FLOAT64 if array.dtype == np.float64 else FLOAT32
     dtype = COORDINATES[kind]
     message = PointCloud()
@@ -199,7 +201,7 @@ def encode_cloud(
     else:
         times = np.asarray(offsets_ns)
         if times.shape != (len(array),) or (len(times) and (times.min() < 0 or times.max() >= 2**32)):
-            raise ValueError(f"offsets_ns: expected the shape ({len(array)},) and 0 to below 2^32")
+            raise ValueError(f"offsets_ns: expected shape ({len(array)},) and values from 0 to below 2^32")
         packed = np.empty(len(array), np.dtype([("xyz", dtype, (3,)), ("t", "<u4")]))
         packed["xyz"], packed["t"] = array, times
         message.fields.append(PackedElementField(name="t", offset=3 * dtype.itemsize, type=UINT32))

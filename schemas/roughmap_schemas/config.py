@@ -1,6 +1,6 @@
-"""The configuration as a whole: what its sections must agree on, a map's identity, and what may be shown.
+"""The whole configuration: rules across its sections, the map's identity, and its public form without secrets.
 
-The models know no files: reading and merging stand in ``config_load``.
+Files are read and merged in ``config_load``.
 """
 
 import json
@@ -28,8 +28,16 @@ from roughmap_schemas.sections import (
 )
 from roughmap_schemas.values import Frame, Name
 
+REMOVED: Final = {
+    "input.max_poses": "20000 poses per robot",
+    "input.max_transforms": "1000 transforms per robot",
+    "input.pose_queue": "10000 queued poses and transforms",
+    "service.control_timeout": "30 s",
+}
+"""Settings of earlier versions, and the constant that took the place of each."""
+
 HIDDEN: Final = "hidden"
-"""Stands where a secret is not shown."""
+"""Stands in for a secret."""
 
 
 def _all_keys(value: dict[str, str]) -> dict[str, str]:
@@ -41,7 +49,7 @@ def _all_keys(value: dict[str, str]) -> dict[str, str]:
     for name in value:
         same = [other for other, text in full.items() if text == full[name] and other != name]
         if same:
-            raise ValueError(f"keys.{name}: must differ from keys.{same[0]}; found {full[name]!r} in both")
+            raise ValueError(f"keys.{name}: must differ from keys.{same[0]}; both are {full[name]!r}")
     return full
 
 
@@ -62,10 +70,21 @@ class Config(Section):
     keys: Annotated[dict[str, str], AfterValidator(_all_keys)] = Field(default={})
     """Key expressions by name, see ``keys.TEMPLATES``; complete after loading."""
 
+    @classmethod
+    def from_log(cls, values: dict[str, Any]) -> "Config":
+        """Make the settings from a log file's metadata, without those in ``REMOVED``; raises ``ValueError``."""
+
+        def kept(section: str, table: Any) -> Any:
+            if not isinstance(table, dict):
+                return table
+            return {name: value for name, value in table.items() if f"{section}.{name}" not in REMOVED}
+
+        return cls.model_validate({section: kept(section, table) for section, table in values.items()})
+
     @model_validator(mode="before")
     @classmethod
     def _robots_over_general(cls, values: Any) -> Any:
-        """Lay each robot's sensor tables over the general tables of the same frame."""
+        """Merge each robot's sensor tables over the general tables of the same frame."""
         general = values.get("sensors") if isinstance(values, dict) else None
         robots = values.get("robots") if isinstance(values, dict) else None
         if not isinstance(general, dict) or not isinstance(robots, dict):
@@ -89,7 +108,9 @@ class Config(Section):
                 f"updates.levels: must be below map.levels, 0 to {self.map.levels - 1}; found {self.updates.levels}"
             )
         if self.log.keep is not None and self.store.path is None:
-            raise ValueError('log.keep: must be "" (all) unless store.path is set: files can\'t be spared otherwise')
+            raise ValueError(
+                'log.keep: must be "" (keep all) unless store.path is set: without a store every file is needed'
+            )
         if self.map.frame_id in self.sensors:
             raise ValueError(f"sensors.{self.map.frame_id}: must not be the map's own frame (map.frame_id)")
         for name, robot in self.robots.items():
@@ -98,15 +119,15 @@ class Config(Section):
         return self
 
     def sensor(self, robot: str, frame_id: str) -> SensorConfig | None:
-        """Give a sensor's settings on a robot; None if it is not configured."""
+        """Return a sensor's settings on a robot; None if it is not configured."""
         own = self.robots.get(robot)
         if own is not None and frame_id in own.sensors:
             return own.sensors[frame_id]
         return self.sensors.get(frame_id)
 
     def identity(self) -> dict[str, Any]:
-        """Give what makes a map the map that it is: with other values its cells would be others."""
-        # Loaded here, since the kernels come with it and most readers of a configuration never ask.
+        """Return the settings that determine the map's cells: with other values the cells would differ."""
+        # Imported here: it loads the kernels, which most readers of a configuration don't need.
         from roughmap.cell import STATE_VERSION  # noqa: PLC0415
 
         names = ("name", "frame_id", "cell_size", "error_model", "coverage", "min_radius", "min_distance", "min_share")
@@ -117,7 +138,7 @@ class Config(Section):
         }
 
     def public_dict(self) -> dict[str, Any]:
-        """Give all settings as JSON values, secrets hidden; infinity as "inf". It validates to the same settings."""
+        """Return all settings as JSON values that validate to the same settings, secrets hidden, infinity as "inf"."""
         values: dict[str, Any] = _jsonable(self.model_dump(mode="python"))
         for name in ("listen", "connect"):
             values["zenoh"][name] = [without_secrets(endpoint) for endpoint in values["zenoh"][name]]
@@ -125,7 +146,7 @@ class Config(Section):
 
 
 def _jsonable(value: Any) -> Any:
-    """Turn tuples into lists, infinities, which JSON lacks, into texts that read back, and hide secrets."""
+    """Turn tuples into lists and infinities into texts that read back, and hide secrets."""
     if isinstance(value, dict):
         return {key: _jsonable(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -136,12 +157,12 @@ def _jsonable(value: Any) -> Any:
 
 
 def without_secrets(endpoint: str) -> str:
-    """Cut what follows an endpoint's address: there certificates, keys and passwords may stand."""
+    """Hide all that follows an endpoint's address: it may hold certificates, keys and passwords."""
     cut = min((at for mark in "?#" if (at := endpoint.find(mark)) >= 0), default=-1)
     return endpoint if cut < 0 else f"{endpoint[:cut]}#{HIDDEN}"
 
 
 def configuration_digest(config: Config) -> str:
-    """Give XXH3-128, 32 hex digits, of the identity as JSON: names sorted, no blanks, floats as Python writes them."""
+    """Return XXH3-128, 32 hex digits, of the identity as JSON: sorted names, no blanks, floats as in Python."""
     text = json.dumps(config.identity(), sort_keys=True, separators=(",", ":"), allow_nan=False)
     return xxhash.xxh3_128_hexdigest(text.encode())

@@ -1,6 +1,6 @@
-"""Reading the configuration: file, then environment, then command line, each over the one before.
+"""Reads the configuration: file, then environment, then command line; later values replace earlier ones.
 
-A fault is one line: whence the value came, the key, what is allowed. Where each value came from is kept.
+An error is one line: the source of the value, its key, and what is allowed.
 """
 
 import difflib
@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel, ValidationError
 
-from roughmap_schemas.config import Config, without_secrets
+from roughmap_schemas.config import REMOVED, Config, without_secrets
 from roughmap_schemas.faults import ConfigFault
 from roughmap_schemas.keys import NAME_PATTERN, NAME_WORDS, TEMPLATES
 from roughmap_schemas.values import LEAST
@@ -24,20 +24,20 @@ MAX_FILE: Final = 1 << 20
 """Bytes of a configuration file: anything larger is another file."""
 
 FILES_ONLY: Final = ("sensors", "robots")
-"""Tables whose keys are names of frames and robots, which no environment variable can spell."""
+"""Tables whose keys are names of frames and robots, which environment variables can't express."""
 
 DEFAULT: Final = "default"
 
 SECRETS: Final = ("zenoh.password", "http.token")
-"""Settings that are taken from the environment alone: a command line is seen by all, a file is passed around."""
+"""Settings read from the environment only: command lines are visible to other users, and files get shared."""
 
 
 @dataclass(frozen=True)
 class LoadedConfig:
-    """The settings that hold, and whence each came.
+    """The effective settings and where each comes from.
 
     ``sources`` maps dotted keys (``map.cell_size``, ``sensors.lidar.range_sigma``) to "default", "file NAME",
-    "environment NAME" or "command line". ``path`` is the file that was read, None if there was none.
+    "environment NAME" or "command line". ``path`` is the file that was read, or None.
     """
 
     config: Config
@@ -45,7 +45,7 @@ class LoadedConfig:
     path: Path | None
 
     def given(self, dotted: str) -> bool:
-        """Tell whether a setting was given anywhere."""
+        """Return whether a setting was given anywhere."""
         return self.sources.get(dotted, DEFAULT) != DEFAULT
 
 
@@ -54,8 +54,8 @@ def load_config(
 ) -> LoadedConfig:
     """Read the settings; raises ``ConfigFault``.
 
-    ``path`` None reads ./roughmap.toml if it is there. ``overrides`` are dotted keys from the command line, ``environ``
-    the environment (None: none).
+    Without ``path``, ./roughmap.toml is read if it exists. ``overrides`` are dotted keys from the command line,
+    ``environ`` the environment variables.
     """
     values: dict[str, Any] = {}
     given: dict[str, str] = {}
@@ -73,23 +73,25 @@ def load_config(
     for dotted in SECRETS:
         if not given.get(dotted, "environment").startswith("environment"):
             variable = PREFIX + dotted.upper().replace(".", "__")
-            raise ConfigFault(f"{given[dotted]}: {dotted}: must be in {dotted}_file, or in the environment, {variable}")
+            raise ConfigFault(
+                f"{given[dotted]}: {dotted}: must be set by {dotted}_file or the environment variable {variable}"
+            )
     config = _validated(values, given, str(file) if file is not None else "configuration")
     sources = {dotted: given.get(dotted, DEFAULT) for dotted in _leaves(config.model_dump(mode="python"))}
     for dotted in sources:
-        # What a robot's sensor doesn't set itself comes from the general table of that frame.
+        # A robot's sensor takes settings that it does not have from the general table of that frame.
         if dotted.startswith("robots.") and dotted not in given:
             sources[dotted] = given.get(f"sensors.{dotted.partition('.sensors.')[2]}", DEFAULT)
     return LoadedConfig(config, sources, file)
 
 
 def config_from(values: Mapping[str, Any], source: str) -> Config:
-    """Make the settings from a dict such as ``Config.public_dict`` gives; ``source`` is named in faults."""
+    """Return the settings from a dict in the form of ``Config.public_dict``; errors name ``source``."""
     return _validated(dict(values), {}, source)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file; raises ``ConfigFault`` that names the file and, for bad TOML, the line."""
+    """Read a TOML file; raises ``ConfigFault``, which names the file and, for invalid TOML, the line."""
     try:
         if path.stat().st_size > MAX_FILE:
             raise ConfigFault(f"{path}: expected at most {MAX_FILE} bytes of TOML; found {path.stat().st_size}")
@@ -97,15 +99,15 @@ def read_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigFault(f"{path}: can't be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:
-        raise ConfigFault(f"{path}: is no UTF-8 text (byte {error.start})") from None
+        raise ConfigFault(f"{path}: not UTF-8 text (byte {error.start})") from None
     except tomllib.TOMLDecodeError as error:
-        raise ConfigFault(f"{path}: is no TOML: {error}") from None
+        raise ConfigFault(f"{path}: invalid TOML: {error}") from None
     except RecursionError:
-        raise ConfigFault(f"{path}: is nested too deep") from None
+        raise ConfigFault(f"{path}: nested too deep") from None
 
 
 def _leaves(values: Mapping[str, Any]) -> Iterator[str]:
-    """Give the dotted keys: three deep, deeper under robots; what lies below is a value as a whole."""
+    """Yield the dotted keys: to a depth of three, more under robots; anything deeper is one value."""
     for section, table in values.items():
         if isinstance(table, dict):
             yield from _deep(section, table, 3 if section == "robots" else 1)
@@ -123,8 +125,10 @@ def _deep(prefix: str, table: Mapping[str, Any], depth: int) -> Iterator[str]:
 
 
 def _put(values: dict[str, Any], given: dict[str, str], parts: tuple[str, ...], value: object, source: str) -> None:
-    """Set one value over what is there; raises ``ConfigFault`` for a key that doesn't exist."""
+    """Set one value, replacing an earlier one; raises ``ConfigFault`` for an unknown key."""
     dotted = ".".join(parts)
+    if dotted in REMOVED:
+        raise ConfigFault(f"{source}: {dotted}: {_removed(dotted)}")
     if parts[0] in FILES_ONLY:
         raise ConfigFault(f"{source}: {dotted}: {parts[0]} can be set in a file only, as [{parts[0]}.NAME] tables")
     section = _section(parts[0])
@@ -154,7 +158,7 @@ def _sections() -> list[str]:
 
 
 def _section(name: str) -> type[BaseModel] | None:
-    """Give a section's model (``keys`` is a plain table and gives the whole's)."""
+    """Return a section's model; for ``keys``, which is a plain table, that of the whole configuration."""
     if name == "keys":
         return Config
     field = Config.model_fields.get(name)
@@ -163,7 +167,7 @@ def _section(name: str) -> type[BaseModel] | None:
 
 
 def _from_text(parts: tuple[str, ...], text: str, source: str) -> object:
-    """Read a variable's value: lists and tables as JSON, all else as the text that it is."""
+    """Read a variable's value: lists and tables as JSON, anything else as text."""
     if ".".join(parts) in SECRETS or not text.lstrip().startswith(("[", "{")):
         return text
     try:
@@ -180,14 +184,16 @@ def _validated(values: dict[str, Any], given: Mapping[str, str], otherwise: str)
 
 
 def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> str:
-    """Put the first fault into one line: an unknown key before all, since a key that is missing may stand there so."""
+    """Return the first error in one line. An unknown key comes first: it may be the misspelling of a missing one."""
     errors = error.errors(include_url=False, include_context=False)
     first = min(errors, key=lambda fault: fault["type"] != "extra_forbidden")
     parts = tuple(str(part) for part in first["loc"] if part != "[key]")
     dotted = ".".join(parts)
     text = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
-    text = text.replace(f"{LEAST:.30f}", f"{LEAST:g}")  # as pydantic writes it, and as a person reads it
-    if first["type"] == "extra_forbidden":
+    text = text.replace(f"{LEAST:.30f}", f"{LEAST:g}")  # pydantic writes out all 30 digits
+    if dotted in REMOVED:
+        text = _removed(dotted)
+    elif first["type"] == "extra_forbidden":
         allowed = _allowed(parts[:-1])
         text = f"unknown key{_meant(parts[-1], allowed)} (allowed: {', '.join(allowed)})"
     elif first["type"] == "missing" and isinstance(first["loc"][-1], int):
@@ -208,15 +214,20 @@ def _line(error: ValidationError, given: Mapping[str, str], otherwise: str) -> s
         text = f"{text}; found {_found(first['input'], parts)}"
     key, colon, rest = text.partition(": ")
     if colon and " " not in key and (not dotted or key.startswith(f"{dotted}.")):
-        # A check over several settings names the one that it is about by itself.
+        # A check across several settings names its setting itself.
         dotted, text = key, rest
     source = next((given[known] for known in _prefixes(dotted) if known in given), otherwise)
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
     return f"{source.removeprefix('file ')}: {dotted}: {text}{more}".replace("\n", " ")
 
 
+def _removed(dotted: str) -> str:
+    """Return what to do about a setting that no longer exists."""
+    return f"is no longer a setting (always {REMOVED[dotted]}): remove it"
+
+
 def _meant(key: str, allowed: Sequence[str]) -> str:
-    """Name the key that was probably meant, if any."""
+    """Return a hint at the key that was probably meant, or ""."""
     close = difflib.get_close_matches(key, allowed, 1)
     return f", did you mean {close[0]}?" if close else ""
 
@@ -228,7 +239,7 @@ def _prefixes(dotted: str) -> Iterator[str]:
 
 
 def _allowed(parts: tuple[str, ...]) -> tuple[str, ...]:
-    """Give the keys of the table at ``parts``."""
+    """Return the allowed keys of the table at ``parts``."""
     model: type[BaseModel] = Config
     names = list(parts)
     while names:
@@ -245,8 +256,8 @@ def _allowed(parts: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _found(value: object, parts: tuple[str, ...]) -> str:
-    """Show a value in an error, but nothing of ``zenoh`` and ``http`` that may be a secret: of an endpoint its address,
-    and nothing at all of what stands where a table, or one text, should be."""
+    """Return a value as errors show it. Of ``zenoh`` and ``http`` nothing secret is shown: only the address of an
+    endpoint, and only the type of a value that should be a table or a single text."""
     if parts[:1] in {("zenoh",), ("http",)} and not isinstance(value, bool | int | float):
         value = without_secrets(value) if isinstance(value, str) and len(parts) > 1 else type(value)
     text = repr(value)

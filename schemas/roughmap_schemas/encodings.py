@@ -1,4 +1,4 @@
-"""The encodings under which payloads travel."""
+"""The Zenoh encodings of payloads."""
 
 from roughmap_schemas.faults import MessageFault
 from roughmap_schemas.reasons import Refusal
@@ -9,15 +9,15 @@ FRAME_TRANSFORM = "application/protobuf;foxglove.FrameTransform"
 GRID = "application/protobuf;foxglove.Grid"
 
 UNSAID = frozenset({"", "zenoh/bytes"})
-"""What a publisher that sets no encoding sends: the key alone says what the payload is."""
+"""What arrives if the publisher sets no encoding; the key then says what the payload is."""
 
 
 def json_encoding(model: str) -> str:
-    """Give the encoding of the JSON model of that name, e.g. ``application/json;roughmap.TileInfo``."""
+    """Return the encoding of a JSON model, such as ``application/json;roughmap.TileInfo``."""
     return f"application/json;roughmap.{model}"
 
 
 def check_encoding(given: str, expected: str) -> None:
-    """Raise ``MessageFault`` (``bad_encoding``) unless ``given`` is the expected one or was left unsaid."""
+    """Raise ``MessageFault`` (``bad_encoding``) unless ``given`` is ``expected`` or unset."""
     if given not in UNSAID and given != expected:
-        raise MessageFault(Refusal.BAD_ENCODING, f"expected the encoding {expected}, or none; found {given[:200]!r}")
+        raise MessageFault(Refusal.BAD_ENCODING, f"expected encoding {expected}, or none; found {given[:200]!r}")

@@ -1,9 +1,9 @@
-"""Events: each change of the map and each decision on a cloud, as the log holds them and as they are published."""
+"""Events: every change of the map and every decision on a cloud, as logged and published."""
 
 import json
 from typing import Annotated, Final, Literal
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from roughmap_schemas.faults import UnknownEventKind
 from roughmap_schemas.messages import BadJson, Hex32, Message, Number, model_bytes
@@ -12,11 +12,17 @@ from roughmap_schemas.reasons import CloudReason, PointReason
 Input = Annotated[int, Field(ge=1)]
 
 
-class IntegrationEvent(Message):
-    """What was done with one cloud.
+class _Closed(Message):
+    """The base of events. They take no unknown members: a replay must account for everything that an event says."""
 
-    ``poses`` are (odometry input, transform input or 0), ascending by stamp: replay places the cloud with exactly
-    these. ``sequence`` is the map's after the event; it rose by one if ``accepted`` is at least 1.
+    model_config = ConfigDict(extra="forbid")
+
+
+class IntegrationEvent(_Closed):
+    """The decision on one cloud.
+
+    ``poses`` are (odometry input, transform input or 0), ascending by stamp; replay places the cloud with exactly
+    these. ``sequence`` is the map's after the event, one higher than before if ``accepted`` is at least 1.
     """
 
     kind: Literal["integration"] = "integration"
@@ -30,7 +36,7 @@ class IntegrationEvent(Message):
     sequence: Number
 
 
-class CheckpointEvent(Message):
+class CheckpointEvent(_Closed):
     """The map's digest at a sequence."""
 
     kind: Literal["checkpoint"] = "checkpoint"
@@ -39,8 +45,8 @@ class CheckpointEvent(Message):
     digest: Hex32
 
 
-class ResetEvent(Message):
-    """The map was emptied; ``epoch`` and ``sequence`` are those that begin with it."""
+class ResetEvent(_Closed):
+    """The map was emptied; ``epoch`` and ``sequence`` are the new ones."""
 
     kind: Literal["reset"] = "reset"
     epoch: Number
@@ -51,16 +57,16 @@ Event = IntegrationEvent | CheckpointEvent | ResetEvent
 
 EVENT: Final[TypeAdapter[Event]] = TypeAdapter(Annotated[Event, Field(discriminator="kind")])
 KINDS: Final = ("integration", "checkpoint", "reset")
-"""``forget``, ``edit`` and ``remap`` are reserved for later versions; to this one they are as unknown as any other."""
+"""``forget``, ``edit`` and ``remap`` are reserved for later versions, and unknown to this one."""
 
 
 def encode_event(event: Event) -> bytes:
-    """Give the event's JSON, ``kind`` first."""
+    """Return the event's JSON, ``kind`` first."""
     return model_bytes(event)
 
 
 def decode_event(payload: bytes) -> Event:
-    """Read an event; raises ``UnknownEventKind``, or ``BadJson`` for what is no event at all."""
+    """Read an event; raises ``UnknownEventKind``, or ``BadJson`` if it is not an event."""
     try:
         return EVENT.validate_json(payload)
     except ValidationError as error:

@@ -1,7 +1,7 @@
 """Writes the JSON Schemas of the contract, for programs in other languages.
 
-``python -m roughmap_schemas.export`` writes them to schemas/json, or to ``--folder``; ``--check`` only tells
-what is not up to date.
+``python -m roughmap_schemas.export`` writes them to schemas/json, or to ``--folder``. With ``--check`` it writes
+nothing and lists the files that are out of date.
 """
 
 import argparse
@@ -46,11 +46,11 @@ MODELS: Final[Mapping[str, type[BaseModel] | TypeAdapter[Any]]] = {
     "TileInfo": TileInfo,
     "UpdateRecord": UpdateRecord,
 }
-"""Everything that is exported, by file name and title."""
+"""The exported models, by file name and title."""
 
 
 def json_schema(name: str) -> dict[str, Any]:
-    """Give the JSON Schema of one model: of what is written, for settings of what may be read."""
+    """Return the JSON Schema of one model as it is written; of ``Config``, as it may be read."""
     kind = MODELS[name]
     mode: Any = "validation" if name == "Config" else "serialization"
     schema = kind.json_schema(mode=mode) if isinstance(kind, TypeAdapter) else kind.model_json_schema(mode=mode)
@@ -58,7 +58,7 @@ def json_schema(name: str) -> dict[str, Any]:
 
 
 def texts() -> dict[str, str]:
-    """Give every file's name and text."""
+    """Return the text of each file, by name."""
     return {
         f"{name}.json": json.dumps(_plain(json_schema(name)), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
         for name in MODELS
@@ -66,7 +66,7 @@ def texts() -> dict[str, str]:
 
 
 def _plain(value: Any) -> Any:
-    """Put infinities, which JSON lacks, as the texts that the settings take for them."""
+    """Replace infinities, which JSON lacks, by the texts that the settings accept for them."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -75,14 +75,14 @@ def _plain(value: Any) -> Any:
 
 
 def stale(folder: Path) -> list[str]:
-    """Name the files that differ from the models, are missing, or belong to none."""
+    """Return the names of files that are missing, differ from their model or have no model."""
     wanted = texts()
     found = {path.name: path.read_text(encoding="utf-8") for path in folder.glob("*.json")}
     return sorted(name for name in wanted.keys() | found.keys() if wanted.get(name) != found.get(name))
 
 
 def write(folder: Path) -> list[str]:
-    """Bring the folder up to date; gives the names of the files that changed."""
+    """Bring the folder up to date and return the names of the files that changed."""
     changed = stale(folder)
     wanted = texts()
     folder.mkdir(parents=True, exist_ok=True)
@@ -95,17 +95,17 @@ def write(folder: Path) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; gives the exit code."""
+    """Run the command and return its exit code."""
     parser = argparse.ArgumentParser(prog="python -m roughmap_schemas.export", description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a file is not up to date")
-    parser.add_argument("--folder", type=Path, default=FOLDER, help="where they lie (default: %(default)s)")
+    parser.add_argument("--folder", type=Path, default=FOLDER, help="folder of the files (default: %(default)s)")
     given = parser.parse_args(arguments)
     check, folder = given.check, given.folder
     names = stale(folder) if check else write(folder)
     for name in names:
-        sys.stderr.write(f"{folder / name}: {'is not up to date' if check else 'written'}\n")
+        sys.stderr.write(f"{folder / name}: {'out of date' if check else 'written'}\n")
     if check and names:
-        sys.stderr.write("mend it with: python -m roughmap_schemas.export\n")
+        sys.stderr.write("to update: python -m roughmap_schemas.export\n")
     return 1 if check and names else 0
 
 

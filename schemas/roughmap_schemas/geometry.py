@@ -1,4 +1,4 @@
-"""Stamps, vectors and quaternions on their way between protobuf and numbers."""
+"""Stamps, vectors and quaternions: between protobuf and numbers, and how they move points."""
 
 import math
 from typing import Any, Final
@@ -13,10 +13,10 @@ MAX_STAMP_S: Final = 2**32
 """A cell keeps whole seconds in 32 bits."""
 
 MIN_NORM: Final = 1e-6
-"""A quaternion shorter than this has no direction worth believing."""
+"""A quaternion shorter than this has no reliable direction."""
 
 ROUNDING: Final = 4e-15
-"""By how much the squared norm of a normalised quaternion can miss 1: at most twelve roundings of 1.1e-16 each."""
+"""Bound on how far the squared norm of a normalised quaternion is from 1, after at most twelve roundings of 1.1e-16."""
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -24,7 +24,7 @@ Matrix = tuple[Vector, Vector, Vector]
 
 
 def read_stamp(message: Any, what: str) -> int:
-    """Give a message's ``timestamp`` in nanoseconds; ``MessageFault`` outside [0, 2^32 s). An unset one is 0."""
+    """Return a message's ``timestamp`` in nanoseconds, 0 if unset; raises ``MessageFault`` outside [0, 2^32 s)."""
     seconds, nanos = message.timestamp.seconds, message.timestamp.nanos
     if not (0 <= seconds < MAX_STAMP_S and 0 <= nanos < SECOND_NS):
         raise bad_message(
@@ -34,14 +34,14 @@ def read_stamp(message: Any, what: str) -> int:
 
 
 def write_stamp(message: Any, stamp_ns: int) -> None:
-    """Set a message's ``timestamp``; ValueError outside [0, 2^32 s)."""
+    """Set a message's ``timestamp``; raises ValueError outside [0, 2^32 s)."""
     if not 0 <= stamp_ns < MAX_STAMP_S * SECOND_NS:
         raise ValueError(f"stamp_ns: expected 0 <= stamp_ns < 2^32 s, found {stamp_ns}")
     message.timestamp.seconds, message.timestamp.nanos = divmod(int(stamp_ns), SECOND_NS)
 
 
 def read_vector(vector: Any, what: str) -> Vector:
-    """Give x, y, z; ``MessageFault`` unless all are finite."""
+    """Return x, y, z; raises ``MessageFault`` unless all are finite."""
     value = (float(vector.x), float(vector.y), float(vector.z))
     if not all(map(math.isfinite, value)):
         raise bad_message(f"{what}: expected three finite numbers; found {value}")
@@ -49,7 +49,7 @@ def read_vector(vector: Any, what: str) -> Vector:
 
 
 def read_rotation(quaternion: Any, what: str) -> Quaternion:
-    """Give a unit quaternion x, y, z, w; ``MessageFault`` unless finite and of norm at least 1e-6."""
+    """Return a unit quaternion x, y, z, w; raises ``MessageFault`` unless it is finite and of norm at least 1e-6."""
     value = (float(quaternion.x), float(quaternion.y), float(quaternion.z), float(quaternion.w))
     unit = normalised(value)
     if unit is None:
@@ -58,10 +58,9 @@ def read_rotation(quaternion: Any, what: str) -> Quaternion:
 
 
 def normalised(value: Quaternion) -> Quaternion | None:
-    """Give the quaternion at length one; None if its norm is below 1e-6 or not finite.
+    """Return the quaternion with norm 1; None if its norm is below 1e-6 or not finite.
 
-    One that is of length one up to rounding stays as it is: what was normalised, written down and read again has the
-    same bits.
+    A quaternion whose norm is 1 up to rounding is returned unchanged, so that writing and reading it keeps its bits.
     """
     x, y, z, w = value
     square = x * x + y * y + z * z + w * w
@@ -74,7 +73,7 @@ def normalised(value: Quaternion) -> Quaternion | None:
 
 
 def rotation_matrix(unit: Quaternion) -> Matrix:
-    """Give the rotation matrix of a unit quaternion, written out: the same bits everywhere."""
+    """Return the rotation matrix of a unit quaternion, written out so that its bits are the same everywhere."""
     x, y, z, w = unit
     return (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
@@ -83,18 +82,36 @@ def rotation_matrix(unit: Quaternion) -> Matrix:
     )
 
 
+def quaternion_of(matrix: Matrix) -> Quaternion:
+    """Give the unit quaternion of a rotation matrix, which may be rounded.
+
+    The diagonal gives the four squares 4 x^2 .. 4 w^2. The largest, at least 1, is the one to divide by.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = matrix
+    columns = (
+        (1 + a - e - i, b + d, c + g, h - f),
+        (b + d, 1 - a + e - i, f + h, c - g),
+        (c + g, f + h, 1 - a - e + i, d - b),
+        (h - f, c - g, d - b, 1 + a + e + i),
+    )
+    best = max(range(4), key=lambda n: columns[n][n])
+    length = math.sqrt(sum(part * part for part in columns[best]))
+    x, y, z, w = (part / length for part in columns[best])
+    return x, y, z, w
+
+
 def move(
     points: NDArray[np.floating[Any]], translation: Vector, unit: Quaternion, *, keep_zero_rows: bool
 ) -> NDArray[np.float64]:
-    """Turn and shift points (N, 3): a new float64 array.
+    """Return points (N, 3) rotated and translated, as a new float64 array.
 
-    Written out by coordinate in a fixed order, since matrix products give other bits for other shapes. With
-    ``keep_zero_rows`` the rows 0, 0, 0 stay as they are.
+    The sums are written out in a fixed order, because the bits of a matrix product depend on its shape. With
+    ``keep_zero_rows``, rows of (0, 0, 0) are left as they are.
     """
     (a, b, c), (d, e, f), (g, h, i) = rotation_matrix(unit)
     x, y, z = (points[:, axis].astype(np.float64) for axis in range(3))
     moved = np.empty((len(points), 3))
-    with np.errstate(all="ignore"):  # points that are not finite are counted later; here they pass through
+    with np.errstate(all="ignore"):  # points that are not finite are rejected later
         moved[:, 0] = ((a * x + b * y) + c * z) + translation[0]
         moved[:, 1] = ((d * x + e * y) + f * z) + translation[1]
         moved[:, 2] = ((g * x + h * y) + i * z) + translation[2]

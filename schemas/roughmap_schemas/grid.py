@@ -1,4 +1,4 @@
-"""Layers of a tile or a region: ``foxglove.Grid`` and arrays."""
+"""Layers of a tile or a region: ``foxglove.Grid`` from and to arrays."""
 
 import math
 import threading
@@ -21,7 +21,7 @@ TYPES: Final = {"f4": PackedElementField.FLOAT32, "f8": PackedElementField.FLOAT
 DTYPES: Final[Mapping[int, np.dtype[Any]]] = {7: np.dtype("<f4"), 8: np.dtype("<f8")}
 
 MAX_DATA: Final = 1 << 30
-"""Bytes that a reader unpacks at most, unless it says otherwise: 2^26 cells of four float32 layers."""
+"""Default bound on the unpacked data, in bytes: 2^26 cells of four float32 layers."""
 
 DATA_TAG: Final = bytes([GridMessage.DATA_FIELD_NUMBER << 3 | LENGTH])
 
@@ -29,10 +29,10 @@ Compression = Literal["zstd"] | None
 
 
 class _Compressors(threading.local):
-    """One a thread, since it can't be shared, and a new one costs as much as compressing a tile."""
+    """One compressor per thread: it can't be shared, and a new one costs as much as compressing a tile."""
 
     def __init__(self) -> None:
-        # Level 1: heights hardly shrink (a tenth), unknown cells vanish at any level, and it takes two thirds of 3.
+        # Level 1 takes two thirds of level 3's time. Heights hardly shrink (a tenth) and unknown cells vanish at any.
         self.own = zstandard.ZstdCompressor(level=1)
 
 
@@ -43,8 +43,8 @@ _COMPRESSORS: Final = _Compressors()
 class Grid:
     """A decoded grid: ``layers`` in the message's order, each (rows, columns), row 0 at the lowest y.
 
-    The arrays are read-only views of one buffer. ``origin`` is the lowest corner of cell (0, 0) and ``cell_size`` the
-    cells' side, in metres in ``frame_id``.
+    The arrays are read-only views of one buffer. ``origin`` is the lower-left corner and ``cell_size`` the side of a
+    cell, in metres in ``frame_id``.
     """
 
     layers: dict[str, NDArray[np.floating[Any]]]
@@ -63,12 +63,12 @@ def encode_grid(
     dtype: Literal["f4", "f8"] = "f4",
     compression: Compression = None,
 ) -> bytes:
-    """Make a grid's payload from layers (rows, columns) of one shape, a cell's values together. Raises ValueError."""
+    """Return a grid's payload from layers of one shape (rows, columns); raises ValueError."""
     shapes = {layer.shape for layer in layers.values()}
     if len(shapes) != 1 or len(shape := shapes.pop()) != 2:
         raise ValueError("layers: expected at least one, all of one shape (rows, columns)")
     packed = np.empty((*shape, len(layers)), np.dtype(f"<{dtype}"))
-    with np.errstate(over="ignore"):  # what float32 can't hold becomes infinite
+    with np.errstate(over="ignore"):  # values that float32 can't hold become infinite
         for number, layer in enumerate(layers.values()):
             packed[:, :, number] = layer
     return encode_packed(tuple(layers), packed, origin, cell_size, stamp_ns, frame_id, compression)
@@ -83,10 +83,10 @@ def encode_packed(
     frame_id: str,
     compression: Compression = None,
 ) -> bytes:
-    """Make a grid's payload from values as they lie in it: (rows, columns, layers), little-endian, contiguous.
+    """Return a grid's payload from values in its own layout: (rows, columns, layers), little-endian, contiguous.
 
-    The bytes are protobuf's own, with the data, the field of the highest number, behind all else: so it is copied once
-    and not by the message, the serialiser and the buffers between.
+    The bytes are the same as protobuf's. ``data`` has the highest field number, so it is appended here: that copies it
+    once, and not also into the message and by the serialiser.
     """
     message = GridMessage()
     for number, name in enumerate(names):
@@ -110,7 +110,7 @@ def encode_packed(
 
 
 def packed_data(payload: bytes, packed: tuple[int, int, int], dtype: Literal["f4", "f8"]) -> NDArray[np.floating[Any]]:
-    """A view of the values (rows, columns, layers) in a payload that `encode_packed` made without compression."""
+    """Return a view of the values (rows, columns, layers) in an uncompressed payload of `encode_packed`."""
     kind = np.dtype(f"<{dtype}")
     count = math.prod(packed)
     return np.frombuffer(payload, kind, count, len(payload) - count * kind.itemsize).reshape(packed)
@@ -119,8 +119,8 @@ def packed_data(payload: bytes, packed: tuple[int, int, int], dtype: Literal["f4
 def decode_grid(payload: bytes, compression: Compression = None, *, max_data: int = MAX_DATA) -> Grid:
     """Read a grid; raises ``MessageFault`` (``too_large``, ``bad_message``).
 
-    ``compression`` is what the reply's TileInfo says. ``max_data`` bounds the bytes of data, unpacked; what a
-    compressed one unpacks to is read from its frame and checked before.
+    ``compression`` is that of the reply's TileInfo. ``max_data`` bounds the unpacked data in bytes; for compressed data
+    that size is read from the frame and checked first.
     """
     check_outline(payload, GridMessage)
     message = parse(payload, GridMessage)
@@ -156,7 +156,7 @@ def _unpack(data: bytes, row_stride: int, compression: Compression, max_data: in
         except zstandard.ZstdError as error:
             raise bad_message(f"{WHAT}.data: expected a zstd frame; found none ({error})") from None
         if size < 0:
-            raise bad_message(f"{WHAT}.data: expected a zstd frame that tells its size; found none")
+            raise bad_message(f"{WHAT}.data: expected a zstd frame that states its size; found none")
     if size > max_data:
         raise too_large(f"{WHAT}.data: expected at most {max_data} bytes; found {size}")
     if size == 0 or size % row_stride:

@@ -1,4 +1,4 @@
-"""Key expressions: made and taken apart from the same templates."""
+"""Key expressions: made and parsed by the same templates."""
 
 import re
 from collections.abc import Mapping
@@ -10,14 +10,14 @@ from roughmap_schemas.faults import ConfigFault, MessageFault, QueryFault
 from roughmap_schemas.reasons import QueryCode, Refusal
 
 NAME_PATTERN: Final = r"^[A-Za-z0-9_.-]{1,64}\Z"
-"""What a map, a robot and a service instance may be called."""
+"""Names of maps, robots and service instances."""
 
 NAME_WORDS: Final = "1 to 64 of the letters A-Z and a-z, digits, '_', '.' and '-'"
-"""The same for a person."""
+"""The same in words."""
 
 NAME: Final = re.compile(NAME_PATTERN)
 NUMBER: Final = re.compile(r"-?(?:0|[1-9][0-9]{0,9})")
-"""A number in a key, at most ten digits; ``-0`` is taken out by hand."""
+"""A number in a key, at most ten digits; ``-0`` is refused separately."""
 
 TEMPLATES: Final[Mapping[str, str]] = {
     "points": "robots/{robot}/points",
@@ -37,21 +37,21 @@ TEMPLATES: Final[Mapping[str, str]] = {
     "alive": "maps/{map}/alive/{instance}",
     "queries": "maps/{map}/queries",
 }
-"""Every key expression and its default. ``queries`` is a topic of the log only."""
+"""The default of every key expression. ``queries`` is a topic of the log only."""
 
 INGEST: Final = ("points", "odometry", "transform")
-"""Kinds of messages that are handed in as requests."""
+"""Kinds of messages that can be ingested."""
 
 _FILLED: Final[Mapping[str, frozenset[str]]] = {
     name: frozenset(re.findall(r"\{(\w+)\}", template)) - {"map"} for name, template in TEMPLATES.items()
 }
 
 Selected = tuple[int | None, int | None, int | None]
-"""Level, x and y of the tiles that a key expression asks for; None stands for any."""
+"""Level, x and y of the tiles that a key expression selects; None is any."""
 
 
 def check_template(name: str, template: str) -> None:
-    """Raise ``ConfigFault`` unless ``template`` is a key in which each placeholder is one whole chunk, once."""
+    """Raise ``ConfigFault`` unless ``template`` is a key with each placeholder once, as a whole chunk."""
     chunks = template.split("/")
     found = [chunk[1:-1] for chunk in chunks if chunk.startswith("{") and chunk.endswith("}")]
     needed = sorted(_FILLED[name])
@@ -60,11 +60,11 @@ def check_template(name: str, template: str) -> None:
         raise ConfigFault(f"keys.{name}: {template!r} is not a key (allowed: non-empty chunks joined by /, no * $ ? #)")
     if sorted(set(found) - {"map"}) != needed or len(found) != len(set(found)):
         wanted = ", ".join(f"{{{part}}}" for part in needed) or "no placeholder"
-        raise ConfigFault(f"keys.{name}: {template!r} must hold {wanted} once each, as whole chunks")
+        raise ConfigFault(f"keys.{name}: {template!r} must have {wanted} once each, as whole chunks")
 
 
 def canonical_number(text: str) -> int | None:
-    """Read a number as keys write it (no ``+``, no leading zero, no ``-0``, within int32); None if it is not one."""
+    """Read a number as keys write it: int32, no ``+``, no leading zero, no ``-0``. None if it is not one."""
     if not NUMBER.fullmatch(text) or text == "-0":
         return None
     value = int(text)
@@ -73,21 +73,21 @@ def canonical_number(text: str) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class KeyForm:
-    """One key expression with its map's name filled in; ``make`` and ``parse`` are each other's inverse."""
+    """One key expression of a map; ``make`` and ``parse`` are inverses."""
 
     name: str
     chunks: tuple[str, ...]
 
     def make(self, **values: object) -> str:
-        """Fill the placeholders; the caller gives each of them, and nothing else."""
+        """Return the key with all placeholders filled; ``values`` must name exactly these."""
         return "/".join(str(values[chunk[1:-1]]) if chunk.startswith("{") else chunk for chunk in self.chunks)
 
     def any(self) -> str:
-        """Give the key expression over all values."""
+        """Return the key expression that matches all values."""
         return "/".join("*" if chunk.startswith("{") else chunk for chunk in self.chunks)
 
     def parse(self, key: str) -> dict[str, str] | None:
-        """Take a key apart; None if it is not of this form."""
+        """Return the values of a key's placeholders; None if it is not of this form."""
         parts = key.split("/")
         if len(parts) != len(self.chunks):
             return None
@@ -101,10 +101,7 @@ class KeyForm:
 
 
 class Keys:
-    """All key expressions of one map.
-
-    Raises ``ConfigFault`` for a name or a template that can't be one.
-    """
+    """All key expressions of one map. Raises ``ConfigFault`` for an invalid name or template."""
 
     def __init__(self, map_name: str, templates: Mapping[str, str] | None = None) -> None:
         if not NAME.fullmatch(map_name):
@@ -133,7 +130,7 @@ class Keys:
         self.updates_topic = "/".join(c for c in self._forms["updates"].chunks if not c.startswith("{"))
 
     def form(self, name: str) -> KeyForm:
-        """Give the form of that name (a key of ``TEMPLATES``)."""
+        """Return the form with that name, a key of ``TEMPLATES``."""
         return self._forms[name]
 
     # Inputs ---------------------------------------------------------------------------------------------------------
@@ -149,43 +146,43 @@ class Keys:
         return values["robot"]
 
     def points(self, robot: str) -> str:
-        """Give the key of a robot's clouds."""
+        """Return the key of a robot's clouds."""
         return self._forms["points"].make(robot=robot)
 
     def parse_points(self, key: str) -> str:
-        """Give the robot of a cloud's key; ``MessageFault`` (``bad_key``) if it is none."""
+        """Return the robot of a cloud's key; raises ``MessageFault`` (``bad_key``)."""
         return self._robot("points", key)
 
     def odometry(self, robot: str) -> str:
-        """Give the key of a robot's poses."""
+        """Return the key of a robot's poses."""
         return self._forms["odometry"].make(robot=robot)
 
     def parse_odometry(self, key: str) -> str:
-        """Give the robot of a pose's key; ``MessageFault`` (``bad_key``) if it is none."""
+        """Return the robot of a pose's key; raises ``MessageFault`` (``bad_key``)."""
         return self._robot("odometry", key)
 
     def transform(self, robot: str) -> str:
-        """Give the key of a robot's frame transforms."""
+        """Return the key of a robot's frame transforms."""
         return self._forms["transform"].make(robot=robot)
 
     def parse_transform(self, key: str) -> str:
-        """Give the robot of a transform's key; ``MessageFault`` (``bad_key``) if it is none."""
+        """Return the robot of a transform's key; raises ``MessageFault`` (``bad_key``)."""
         return self._robot("transform", key)
 
     def ingest_points(self, robot: str) -> str:
-        """Give the key under which a cloud is handed in for a receipt."""
+        """Return the key on which a robot's clouds are ingested."""
         return self._forms["ingest_points"].make(robot=robot)
 
     def ingest_odometry(self, robot: str) -> str:
-        """Give the key under which a pose is handed in for a receipt."""
+        """Return the key on which a robot's poses are ingested."""
         return self._forms["ingest_odometry"].make(robot=robot)
 
     def ingest_transform(self, robot: str) -> str:
-        """Give the key under which a transform is handed in for a receipt."""
+        """Return the key on which a robot's transforms are ingested."""
         return self._forms["ingest_transform"].make(robot=robot)
 
     def parse_ingest(self, key: str) -> tuple[str, str]:
-        """Give kind (of ``INGEST``) and robot of a request's key; ``MessageFault`` (``bad_key``) if it is none."""
+        """Return kind (of ``INGEST``) and robot of an ingest key; raises ``MessageFault`` (``bad_key``)."""
         forms = {kind: self._forms[f"ingest_{kind}"] for kind in INGEST}
         for kind, form in forms.items():
             values = form.parse(key)
@@ -198,8 +195,8 @@ class Keys:
         )
 
     def _ingest_any(self) -> list[str]:
-        """Give one key expression over all keys that begin as those of requests do, so that a mistyped one meets it;
-        one a kind where other keys begin so too, or the three have no common beginning."""
+        """Return one key expression over everything under the ingest keys' common prefix, so that a mistyped key gets
+        an error; or one per kind, if they have no common prefix or share it with other keys."""
         forms = [self._forms[f"ingest_{kind}"] for kind in INGEST]
         columns = zip(*(form.chunks for form in forms), strict=False)
         begin = [chunks[0] for chunks in takewhile(lambda c: len({*c}) == 1 and not c[0].startswith("{"), columns)]
@@ -211,18 +208,18 @@ class Keys:
     # Outputs --------------------------------------------------------------------------------------------------------
 
     def tile(self, z: int, x: int, y: int) -> str:
-        """Give the key of a tile."""
+        """Return the key of a tile."""
         return self._forms["tiles"].make(z=z, x=x, y=y)
 
     def tiles(self, z: int | None = None, x: int | None = None, y: int | None = None) -> str:
-        """Give the key expression of the tiles with those numbers, None standing for any."""
+        """Return the key expression of the tiles with those numbers; None is any."""
         return self._forms["tiles"].make(**{n: "*" if v is None else v for n, v in (("z", z), ("x", x), ("y", y))})
 
     def parse_tile_selector(self, key: str, levels: int | None = None) -> Selected:
-        """Take the key expression of a tile query apart: each of level, x and y is a number or ``*`` (None).
+        """Return level, x and y of a tile query's key expression, None for ``*``.
 
         Raises ``QueryFault``: ``bad_key`` for another form or a number that is not canonical, ``bad_level`` for a level
-        below 0 or not below ``levels``.
+        outside 0 to ``levels`` - 1.
         """
         form = self._forms["tiles"]
         values = form.parse(key)
@@ -245,13 +242,13 @@ class Keys:
         return z, numbers["x"], numbers["y"]
 
     def update(self, z: int, x: int, y: int) -> str:
-        """Give the key on which a changed tile is published."""
+        """Return the key on which a changed tile is published."""
         return self._forms["updates"].make(z=z, x=x, y=y)
 
     def control(self, action: str) -> str:
-        """Give the key of an operator's action (``snapshot`` or ``reset``)."""
+        """Return the key of an operator's action, ``snapshot`` or ``reset``."""
         return self._forms["control"].make(action=action)
 
     def alive(self, instance: str) -> str:
-        """Give the key of an instance's liveliness token."""
+        """Return the key of an instance's liveliness token."""
         return self._forms["alive"].make(instance=instance)

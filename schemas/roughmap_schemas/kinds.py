@@ -1,10 +1,10 @@
-"""What a message, a channel of the log or a record holds."""
+"""The kinds of messages, and of channels in the log."""
 
 from enum import StrEnum
 
 
 class Kind(StrEnum):
-    """What a channel holds."""
+    """What a message or a channel of the log holds."""
 
     POINTS = "points"
     ODOMETRY = "odometry"

@@ -1,4 +1,4 @@
-"""The names of what a cell says, as they stand in keys, selectors and grids."""
+"""The names of layers and limits, as selectors and grids write them."""
 
 LAYERS = (
     "mean_height",
@@ -20,10 +20,11 @@ LAYERS = (
     "step_height",
     "traversability",
 )
-"""Every layer. The map core has the same tuple: repeated here so that a client need not load the kernels."""
+"""Every layer. ``roughmap.reading.layers`` has the same tuple; it is repeated here so that a client need not load the
+kernels."""
 
 DEFAULT_LAYERS = ("mean_height",)
-"""What a query that names no layers gets."""
+"""The layers of a query that names none."""
 
 LIMIT_NAMES = ("slope", "step", "std_dev", "range", "confidence")
-"""What traversability may be limited by."""
+"""The quantities that ``traversability`` may limit."""

@@ -1,48 +1,88 @@
 """The JSON messages of the contract: receipts, answers, status.
 
-Every model is frozen and refuses unknown members. Floats are finite or null: JSON never holds NaN. Times are integer
+Every model is frozen. Floats are finite or null: JSON never holds NaN. Times are integer
 nanoseconds since the Unix epoch and their names end in ``_ns``.
 """
 
 import math
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+)
 
+from roughmap_schemas.contract import CONTRACT_VERSION
 from roughmap_schemas.faults import ContractError
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
 
 
 def _null_if_unknown(value: object) -> object:
-    """Turn NaN and the infinities into null, so that a model can be made from a layer's value as it is."""
+    """Turn NaN and infinities into null, so that models take a layer's values as they are."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Known = Annotated[Finite | None, BeforeValidator(_null_if_unknown)]
-"""A float, or null where it is not known."""
+"""A float, or null if not known."""
 
 Hex32 = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
-"""128 bits in hexadecimal digits: an instance, a run, a digest."""
+"""128 bits in hexadecimal: an instance, a run, a digest."""
 
 Number = Annotated[int, Field(ge=0)]
 
 
-class Message(BaseModel):
-    """The base of all JSON messages."""
+def _known_or_text(value: Any, known: ValidatorFunctionWrapHandler) -> Any:
+    """Return the member of an enumeration, or the text itself if it is none."""
+    try:
+        return known(value)
+    except ValidationError:
+        if isinstance(value, str):
+            return value
+        raise
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+OPEN = (WrapValidator(_known_or_text), PlainSerializer(str, return_type=str))
+"""Marks a reason. A minor release may add some, so one that this release does not have is read as plain text."""
+
+
+class Message(BaseModel):
+    """The base of all JSON messages.
+
+    Unknown members are ignored, because a minor release of the contract may add some.
+    """
+
+    model_config = ConfigDict(
+        frozen=True, extra="ignore", use_attribute_docstrings=True, json_schema_serialization_defaults_required=True
+    )
+
+
+class Reply(Message):
+    """The base of all JSON replies.
+
+    A member that a minor release of the contract adds here needs a default, so that its clients can read the replies
+    of older services.
+    """
+
+    contract: Annotated[str, Field(pattern=r"^[0-9]+\.[0-9]+$")] = CONTRACT_VERSION
+    """The contract's version, ``major.minor``."""
 
 
 M = TypeVar("M", bound=Message)
 
 
 class BadJson(ContractError):
-    """A JSON text is not the model that it should be; the message names the model and the first fault."""
+    """A JSON text is not the expected model; the message names the model and the first fault."""
 
 
 def model_bytes(model: BaseModel) -> bytes:
-    """Give the model's JSON in UTF-8, members in declared order."""
+    """Return the model's JSON in UTF-8, members in declared order."""
     return model.model_dump_json().encode()
 
 
@@ -56,16 +96,16 @@ def parse_model(kind: type[M], payload: bytes | str) -> M:
         raise BadJson(f"expected a {kind.__name__} in JSON: {where}: {first['msg']}") from None
 
 
-class QueryError(Message):
+class QueryError(Reply):
     """An error reply to any request."""
 
     code: str
-    """A ``QueryCode``, or for an ingest request a ``Refusal``."""
+    """A ``QueryCode``; for ingest, a ``Refusal``."""
     message: str
 
 
-class Receipt(Message):
-    """The log holds the message, fsynced, under this input number; what becomes of it is told by its event."""
+class Receipt(Reply):
+    """The reply to an ingested message: it is in the log, on the disk, under this input number."""
 
     input: Annotated[int, Field(ge=1)]
     epoch: Number
@@ -73,8 +113,8 @@ class Receipt(Message):
     duplicate: bool = False
 
 
-class TileInfo(Message):
-    """The attachment of a tile reply. For ``region``: x, y and digest null, z the level, answer_tiles 1."""
+class TileInfo(Reply):
+    """The attachment of a tile, region or update. For a region, x, y and digest are null and answer_tiles is 1."""
 
     map: str
     instance: str
@@ -83,26 +123,26 @@ class TileInfo(Message):
     x: int | None
     y: int | None
     sequence: Number
-    """Of the last change of the tile's cells or of the ring around it."""
+    """Sequence of the last change of the tile's cells or of the ring around it."""
     map_sequence: Number
-    """Of the map, at the answer."""
+    """Sequence of the map that this reply shows."""
     answer_tiles: Number
-    """How many replies make this answer whole."""
+    """Number of replies in the whole answer."""
     oldest_ns: Number
     newest_ns: Number
     known_cells: Number
     digest: str | None
     configuration_digest: str
     compression: Literal["zstd"] | None = None
-    """Of the Grid's data."""
+    """Compression of the Grid's data."""
 
 
 class CellState(Message):
-    """A cell's record, as the map keeps it."""
+    """A cell's record in the map."""
 
     count: Number
     updated: Number
-    """Whole seconds since the Unix epoch: the newest point's."""
+    """Stamp of the newest point, in whole seconds since the Unix epoch."""
     weight: Finite
     weight_sq: Finite
     mean: Finite
@@ -113,7 +153,7 @@ class CellState(Message):
 
 
 class CellEntry(Message):
-    """One asked place: x, y as asked (metres), the cell it falls in, its state (null if never hit) and its layers."""
+    """One place of a query: x, y in metres as asked, its cell, the cell's state (null if unknown) and layers."""
 
     x: Finite
     y: Finite
@@ -123,8 +163,8 @@ class CellEntry(Message):
     layers: dict[str, Known]
 
 
-class CellAnswer(Message):
-    """The answer to a ``cells`` query, in the asked order."""
+class CellAnswer(Reply):
+    """The answer to a ``cells`` query; places in the order of the query."""
 
     map: str
     instance: str
@@ -134,7 +174,7 @@ class CellAnswer(Message):
 
 
 class QueryRecord(Message):
-    """What the log keeps of a query: the selector (2,000 characters of it), what was answered, how long it took."""
+    """A query in the log: 2,000 characters of its selector, the number of replies, and how long it took."""
 
     selector: str
     tiles: Number
@@ -145,14 +185,14 @@ class QueryRecord(Message):
 
 
 class UpdateRecord(Message):
-    """What the log keeps of a published tile where ``log.updates`` is ``records``."""
+    """A published tile in the log, if ``log.updates`` is ``records``."""
 
     key: str
     info: TileInfo
 
 
-class ControlAnswer(Message):
-    """The answer to an operator's request."""
+class ControlAnswer(Reply):
+    """The answer to ``snapshot`` or ``reset``."""
 
     sequence: Number
     epoch: Number
@@ -163,25 +203,25 @@ class CloudCounts(Message):
 
     accepted: Number = 0
     waiting: Number = 0
-    rejected: dict[CloudReason, Number] = {}
+    rejected: dict[Annotated[CloudReason, *OPEN], Number] = {}
 
 
 class PointCounts(Message):
     """Points of integrated clouds since this start."""
 
     accepted: Number = 0
-    rejected: dict[PointReason, Number] = {}
+    rejected: dict[Annotated[PointReason, *OPEN], Number] = {}
 
 
 class PoseCounts(Message):
     """Poses since this start."""
 
     accepted: Number = 0
-    rejected: dict[PoseReason, Number] = {}
+    rejected: dict[Annotated[PoseReason, *OPEN], Number] = {}
 
 
 class Lag(Message):
-    """Seconds from a cloud's arrival until queries see it, over the last 10 s; null when there was none."""
+    """Seconds from a cloud's arrival until queries see it, over the last 10 s; null if there was none."""
 
     p50: Known = None
     p99: Known = None
@@ -210,8 +250,8 @@ class LogState(Message):
     ok: bool = True
 
 
-class MapStatus(Message):
-    """How the service and its map are; counts are since this start."""
+class MapStatus(Reply):
+    """The state of the service and its map; counts are since this start."""
 
     map: str
     run: str
@@ -226,7 +266,7 @@ class MapStatus(Message):
     bounds: tuple[Finite, Finite, Finite, Finite] | None
     """xmin, ymin, xmax, ymax in metres; null if the map has none."""
     extent: tuple[Finite, Finite, Finite, Finite] | None
-    """Of the known tiles, in metres; null while there are none."""
+    """xmin, ymin, xmax, ymax of the known tiles in metres; null if there are none."""
     error_model: Literal["point", "cuboid", "ellipsoid"]
     configuration_digest: str
     health: Literal["ok", "overloaded", "degraded"]
@@ -237,13 +277,13 @@ class MapStatus(Message):
     clouds: CloudCounts
     points: PointCounts
     poses: PoseCounts
-    refused: dict[Refusal, Number]
+    refused: dict[Annotated[Refusal, *OPEN], Number]
     """Messages that never reached the log."""
     gaps: dict[str, Number]
-    """Missing message numbers a robot, of published messages only. Its clouds, poses and transforms count each for
-    themselves (a publisher each), by the attachment of 8 bytes."""
+    """Missing numbers of published messages, by robot: the sum over its clouds, poses and transforms, which are
+    numbered separately by their 8-byte attachments."""
     jumps: dict[str, Number]
-    """Jumps of a robot's frame transform."""
+    """Jumps of a robot's frame transforms, by robot."""
     lag_s: Lag
     rates: Rates
     memory_bytes: Number
@@ -273,6 +313,7 @@ __all__ = [
     "QueryRecord",
     "Rates",
     "Receipt",
+    "Reply",
     "TileCounts",
     "TileInfo",
     "UpdateRecord",

@@ -1,4 +1,4 @@
-"""Poses of a robot's base: ``foxglove.Odometry`` and numbers."""
+"""Poses of a robot's base: ``foxglove.Odometry`` from and to numbers."""
 
 import math
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from roughmap_schemas.wire import check_outline, check_size, parse
 
 WHAT: Final = "foxglove.Odometry"
 SYMMETRY: Final = 1e-6
-"""How far two mirrored entries may differ, relative to the larger of them and of what their variances allow."""
+"""How far two mirrored entries may differ, relative to the largest of both and the product of their sigmas."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,8 +31,8 @@ class Odometry:
     """The pose of ``body_frame_id`` in ``frame_id`` at ``stamp_ns``.
 
     ``position`` in metres, ``rotation`` a unit quaternion x, y, z, w. ``covariance`` (6, 6) float64, order x y z roll
-    pitch yaw about the parent frame's axes, metres and radians; None if the message has none (no numbers, or all
-    zero). ``covariance_fault``: it has one that can't be a covariance; then ``covariance`` is None too.
+    pitch yaw about the parent frame's axes, metres and radians; None if the message has none (empty or all zero).
+    ``covariance_fault``: the message has an invalid one, and ``covariance`` is None.
     """
 
     stamp_ns: int
@@ -59,7 +59,7 @@ def decode_odometry(payload: bytes, *, max_message: int) -> Odometry:
 
 
 def _covariance(given: Any) -> tuple[NDArray[np.float64] | None, bool]:
-    """Give the 6x6 matrix or None, and whether what was given can't be one."""
+    """Return the 6x6 matrix or None, and whether it is invalid."""
     if len(given) == 0:
         return None, False
     if len(given) != 36:
@@ -87,7 +87,7 @@ def encode_odometry(
     covariance: ArrayLike | None = None,
     body_frame_id: str = "base_link",
 ) -> bytes:
-    """Make a pose's payload; shapes (3,), (4,) x y z w and (6, 6). Raises ValueError."""
+    """Return a pose's payload, from arrays of shape (3,), (4,) x y z w and (6, 6); raises ValueError."""
     message = OdometryMessage()
     write_stamp(message, stamp_ns)
     message.frame_id = frame_id

@@ -1,4 +1,4 @@
-"""The parameters of queries, one by one: ``name=value`` pairs joined by ``;``, read and written side by side."""
+"""The parameters of queries, ``name=value`` joined by ``;``: each is read and written here."""
 
 import math
 import re
@@ -10,7 +10,7 @@ from roughmap_schemas.layers import LAYERS, LIMIT_NAMES
 from roughmap_schemas.reasons import QueryCode
 
 MAX_TEXT: Final = 65536
-"""Bytes of parameters that are looked at: far beyond any sensible query, and cheap to scan."""
+"""Longest text of parameters that is parsed: far beyond any sensible query, and cheap to scan."""
 
 Dtype = Literal["f4", "f8"]
 Compression = Literal["zstd"] | None
@@ -28,8 +28,8 @@ def parse_parameters(text: str) -> dict[str, str]:
     """Split ``name=value`` pairs joined by ``;``, each at its first ``=``.
 
     Names that begin with ``_`` are Zenoh's and left out. Raises ``QueryFault``: ``too_large`` for a text over
-    ``MAX_TEXT``, ``bad_parameter`` for a blank, an empty name, a missing ``=`` or a name that stands twice (a blank in
-    ``bbox``, or no value of it, is ``bad_bbox``, as any fault in its value).
+    ``MAX_TEXT``, ``bad_parameter`` for a blank, an empty name, a missing value or a name given twice; but ``bad_bbox``
+    for a blank in ``bbox`` or no value of it.
     """
     if len(text) > MAX_TEXT:
         raise QueryFault(QueryCode.TOO_LARGE, f"parameters: expected at most {MAX_TEXT} bytes; found {len(text)}")
@@ -38,7 +38,7 @@ def parse_parameters(text: str) -> dict[str, str]:
         name, equals, value = part.partition("=")
         if name.startswith("_"):
             continue
-        if name == "bbox" and not equals:  # also ``bbox=``: Zenoh takes the sign of an empty value away
+        if name == "bbox" and not equals:  # also ``bbox=``: Zenoh removes the = of an empty value
             raise QueryFault(QueryCode.BAD_BBOX, "bbox: expected xmin,ymin,xmax,ymax; found none")
         if name and not equals:  # also ``name=``, as above
             raise QueryFault(QueryCode.BAD_PARAMETER, f"{name[:80]}: expected {name[:80]}=VALUE; found no value")
@@ -59,12 +59,12 @@ def format_parameters(parameters: Mapping[str, str]) -> str:
 
 
 def shown(text: str) -> str:
-    """Quote what was found, shortened: an answer is no echo of any length."""
+    """Quote what was found, shortened: an error reply must not echo a text of any length."""
     return repr(text if len(text) <= 80 else text[:77] + "...")
 
 
 def bad(name: str, expected: str, found: str) -> QueryFault:
-    """Make the fault for a value that doesn't parse."""
+    """Return the fault for a value that doesn't parse."""
     return QueryFault(QueryCode.BAD_PARAMETER, f"{name[:80]}: expected {expected}; found {shown(found)}")
 
 
@@ -81,7 +81,7 @@ def number(value: float) -> str:
     return repr(float(value))
 
 
-# One parameter each: read, then written -------------------------------------------------------------------------------
+# Each parameter: read, then written -----------------------------------------------------------------------------------
 
 
 def parse_layers(text: str) -> tuple[str, ...]:
@@ -89,14 +89,14 @@ def parse_layers(text: str) -> tuple[str, ...]:
     names = tuple(text.split(","))
     for name in names:
         if name not in LAYERS:
-            raise QueryFault(QueryCode.UNKNOWN_LAYER, f"layers: {shown(name)} is none of {', '.join(LAYERS)}")
+            raise QueryFault(QueryCode.UNKNOWN_LAYER, f"layers: expected {', '.join(LAYERS)}; found {shown(name)}")
     if len(set(names)) != len(names):
         raise bad("layers", "each layer once", text)
     return names
 
 
 def parse_bbox(text: str) -> Bbox:
-    """Read ``bbox``: four finite numbers, the lower before the upper; any fault in it is ``bad_bbox``."""
+    """Read ``bbox``: four finite numbers, each minimum below its maximum; any fault is ``bad_bbox``."""
     parts = [decimal(part) for part in text.split(",", 4)]
     known = [part for part in parts if part is not None]
     if len(parts) != 4 or len(known) != 4 or not (known[0] < known[2] and known[1] < known[3]):
@@ -113,7 +113,7 @@ def format_bbox(bbox: Iterable[float]) -> str:
 
 
 def parse_count(name: str) -> Callable[[str], int]:
-    """Make the reader of a whole number from 0."""
+    """Return a parser of whole numbers from 0."""
 
     def parse(text: str) -> int:
         if not COUNT.fullmatch(text):
@@ -124,7 +124,7 @@ def parse_count(name: str) -> Callable[[str], int]:
 
 
 def parse_whole(name: str) -> Callable[[str], int]:
-    """Make the reader of a whole number of either sign: what range it must be in has a code of its own."""
+    """Return a parser of whole numbers of either sign. Their range is checked elsewhere, under another code."""
 
     def parse(text: str) -> int:
         if not WHOLE.fullmatch(text):
@@ -135,7 +135,7 @@ def parse_whole(name: str) -> Callable[[str], int]:
 
 
 def parse_positive(name: str) -> Callable[[str], float]:
-    """Make the reader of a finite number above 0."""
+    """Return a parser of finite numbers above 0."""
 
     def parse(text: str) -> float:
         value = decimal(text)
@@ -147,7 +147,7 @@ def parse_positive(name: str) -> Callable[[str], float]:
 
 
 def parse_coordinate(name: str) -> Callable[[str], float | None]:
-    """Make the reader of a finite number of metres."""
+    """Return a parser of finite numbers of metres."""
 
     def parse(text: str) -> float:
         value = decimal(text)
@@ -191,16 +191,16 @@ def parse_compression(text: str) -> Compression:
     return "zstd"
 
 
-class Reader:
-    """Takes parameters one by one, after unknown names were refused."""
+class ParameterReader:
+    """Takes parameters one by one; raises ``QueryFault`` (``unknown_parameter``) for names other than ``names``."""
 
     def __init__(self, parameters: Mapping[str, str] | str, *names: str) -> None:
         self.left = parse_parameters(parameters) if isinstance(parameters, str) else dict(parameters)
         for name in self.left:
             if name not in names:
-                raise QueryFault(QueryCode.UNKNOWN_PARAMETER, f"{shown(name)} is none of {', '.join(names)}")
+                raise QueryFault(QueryCode.UNKNOWN_PARAMETER, f"expected {', '.join(names)}; found {shown(name)}")
 
     def take(self, name: str, parse: Callable[[str], T], otherwise: T) -> T:
-        """Read a parameter, or give ``otherwise`` where it is not given."""
+        """Return a parameter's value, or ``otherwise`` if it is not given."""
         text = self.left.get(name)
         return otherwise if text is None else parse(text)

@@ -1,11 +1,11 @@
-"""Why something was not taken: every reason and code that can appear on the wire, in the log or in a count."""
+"""All reasons and codes: of refused messages, rejected clouds, poses and points, and error replies."""
 
 from enum import StrEnum
 from typing import Final
 
 
 class PointReason(StrEnum):
-    """Why a point of an integrated cloud did not reach a cell; counted under the first that holds, in this order."""
+    """Why a point of an integrated cloud was rejected; counted under the first that applies, in this order."""
 
     NOT_FINITE = "not_finite"
     NO_RETURN = "no_return"
@@ -20,7 +20,7 @@ class PointReason(StrEnum):
 
 
 class CloudReason(StrEnum):
-    """Why a logged cloud changed nothing; the outcome of its event."""
+    """Why a logged cloud was rejected; the outcome of its event."""
 
     POSE_GAP = "pose_gap"
     POSE_JUMP = "pose_jump"
@@ -33,7 +33,7 @@ class CloudReason(StrEnum):
 
 
 class PoseReason(StrEnum):
-    """Why a logged pose was not taken into its robot's buffer."""
+    """Why a logged pose or transform was rejected."""
 
     DUPLICATE = "duplicate"
     STALE = "stale"
@@ -42,10 +42,10 @@ class PoseReason(StrEnum):
 
 
 class Refusal(StrEnum):
-    """Why a message never reached the log.
+    """Why a message was refused: it never reached the log.
 
-    ``duplicate`` is never an error reply: a published message that the log holds already is only counted, and an
-    ingested one gets the receipt of the first.
+    ``duplicate`` is never an error reply. A published message that is already in the log is only counted; an ingested
+    one gets the receipt of the first.
     """
 
     BAD_KEY = "bad_key"
@@ -77,51 +77,51 @@ class QueryCode(StrEnum):
 
 
 INTEGRATED = "integrated"
-"""The outcome of a cloud that was taken; any other outcome is a ``CloudReason``."""
+"""The outcome of a cloud that is in the map; any other outcome is a ``CloudReason``."""
 
 Reason = PointReason | CloudReason | PoseReason | Refusal
-"""Every reason under which a message, a pose, a cloud or a point can be counted."""
+"""Every reason under which a message, pose, cloud or point is counted."""
 
 MEANING: Final[dict[type[Reason], dict[str, str]]] = {
     PointReason: {
         "not_finite": "NaN or infinite",
-        "no_return": "nothing came back, as from the sky",
-        "time": "its own time is not within a second after its scan's",
-        "no_pose": "no poses around its own time",
+        "no_return": "no echo, as from the sky",
+        "time": "time not within 1 s after the scan's stamp",
+        "no_pose": "no poses around its time",
         "self": "on the robot itself (sensors.*.exclude)",
-        "range": "nearer than min_range, or beyond max_range",
-        "ceiling": "higher above the scanner than ceiling",
-        "covariance": "its covariance is none",
-        "uncertain": "could lie beyond max_horizontal_radius",
+        "range": "nearer than min_range or farther than max_range",
+        "ceiling": "higher above the sensor than ceiling",
+        "covariance": "invalid covariance",
+        "uncertain": "horizontal error over max_horizontal_radius",
         "bounds": "outside map.bounds",
     },
     CloudReason: {
-        "pose_gap": "poses around it farther apart than max_pose_gap",
-        "pose_jump": "poses around it imply more than max_speed, max_turn",
-        "no_pose": "poses around it did not come within max_wait",
-        "late": "older than the poses that are kept (pose_history)",
-        "too_many_tiles": "more new tiles than max_new_tiles, max_tiles",
-        "empty": "no point of it was accepted",
-        "overload": "dropped: more comes in than can be integrated",
-        "clock_reset": "its robot's clock was set back",
+        "pose_gap": "neighbouring poses more than max_pose_gap apart",
+        "pose_jump": "poses imply more than max_speed or max_turn",
+        "no_pose": "no poses around it within max_wait",
+        "late": "older than the poses kept (pose_history)",
+        "too_many_tiles": "needs more tiles than max_new_tiles or max_tiles allow",
+        "empty": "no point was accepted",
+        "overload": "dropped: more input than can be integrated",
+        "clock_reset": "the robot's clock was set back",
     },
     PoseReason: {
-        "duplicate": "a second pose of one stamp",
-        "stale": "older than the poses that are kept (pose_history)",
-        "pose_frame": "no transform leads from its frame to the map's",
-        "bad_covariance": "its covariance is none",
+        "duplicate": "a second pose with the same stamp",
+        "stale": "older than the poses kept (pose_history)",
+        "pose_frame": "no transform from its frame to the map's",
+        "bad_covariance": "invalid covariance",
     },
     Refusal: {
-        "bad_key": "a key that no robot has",
-        "bad_encoding": "another encoding than its key's",
-        "bad_message": "can't be read",
-        "too_large": "more than max_message bytes, or max_points",
+        "bad_key": "not the key of a robot",
+        "bad_encoding": "wrong encoding for its key",
+        "bad_message": "not a valid message",
+        "too_large": "over max_message bytes or max_points",
         "unknown_sensor": "its frame has no [sensors] table",
-        "unknown_robot": "not among input.robots, or one too many",
-        "busy": "the queue was full",
+        "unknown_robot": "not in input.robots, or over max_robots",
+        "busy": "the input queue was full",
         "log_unavailable": "the log can't be written",
         "shutting_down": "the service was ending",
-        "duplicate": "sent again; the log has it",
+        "duplicate": "sent before; already in the log",
     },
 }
-"""What each reason says, in a few words for a table; the contract's own words stand in the classes above."""
+"""A few words on each reason, for a table. ``schemas/README.md`` has the full definitions."""

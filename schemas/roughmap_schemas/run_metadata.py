@@ -1,4 +1,4 @@
-"""The metadata record with which every log file begins."""
+"""The metadata record at the beginning of every log file."""
 
 import json
 from collections.abc import Mapping
@@ -22,13 +22,13 @@ def _checksum(entries: Mapping[str, str]) -> str:
 
 
 class RunMetadata(Message):
-    """Which part of which run a file holds, and under which settings its events were made.
+    """Which part of which run a file holds, and the settings of its events.
 
-    ``created_ns`` is the wall clock's time at the file's beginning; it tells the newest of several runs and orders
-    nothing within one. ``index`` counts the run's files from 0. ``first_input`` is the number of the first input logged
-    in the file, ``first_record`` that of its first input or event (both from 1 over the run). ``base_sequence`` and
-    ``base_digest`` are the map's before the file's first event; the digest is "" in a file that was begun because the
-    one before it could no longer be written. ``configuration`` is without secrets.
+    ``created_ns`` is the wall clock when the file was begun: it tells which of several runs is the newest, but does not
+    order the files of one. ``index`` counts the run's files from 0. ``first_input`` is the number of the first input
+    in the file, ``first_record`` that of its first input or event, both from 1 over the run. ``base_sequence`` and
+    ``base_digest`` are the map's before the file's first event; the digest is "" if the file was begun because the one
+    before it could no longer be written. ``configuration`` is without secrets.
     """
 
     run: Hex32
@@ -43,7 +43,7 @@ class RunMetadata(Message):
     configuration: dict[str, Any]
 
     def to_record(self) -> dict[str, str]:
-        """Give the record's entries: MCAP metadata maps strings to strings."""
+        """Return the record's entries; MCAP metadata maps strings to strings."""
         values = self.model_dump(mode="json")
         entries = {
             name: json.dumps(value, allow_nan=False, sort_keys=True) if name == "configuration" else str(value)
@@ -53,10 +53,10 @@ class RunMetadata(Message):
 
     @classmethod
     def from_record(cls, record: Mapping[str, str]) -> Self:
-        """Read the record's entries; raises ``BadJson``, which names the first that is missing or wrong.
+        """Read the record's entries; raises ``BadJson``, which names the first missing or invalid one.
 
-        Entries that this version doesn't know are passed over: a log may be read by an older reader. A checksum over
-        all others is looked at where there is one, since MCAP has none over a metadata record.
+        Unknown entries are ignored, so that older releases can read newer logs. The checksum is verified if there is
+        one: MCAP itself has none over metadata records.
         """
         values: dict[str, object] = {name: record[name] for name in cls.model_fields if name in record}
         try:
@@ -69,5 +69,5 @@ class RunMetadata(Message):
             raise BadJson("metadata record roughmap: configuration: expected a JSON object") from None
         entries = {name: value for name, value in record.items() if name != CHECKSUM}
         if record.get(CHECKSUM, _checksum(entries)) != _checksum(entries):
-            raise BadJson("metadata record roughmap: its checksum does not hold")
+            raise BadJson("metadata record roughmap: its checksum is wrong")
         return found

@@ -1,6 +1,6 @@
-"""The sections of the configuration: one model each, each setting with its default and its range.
+"""The sections of the configuration, one model each; every setting has its default and its range.
 
-Seconds, metres, radians, m/s, rad/s, bytes; six numbers are x y z roll pitch yaw.
+Units are seconds, metres, radians, m/s, rad/s and bytes. Six numbers are x y z roll pitch yaw.
 """
 
 import math
@@ -33,10 +33,10 @@ from roughmap_schemas.values import (
 )
 
 MAX_FOOTPRINT_CELLS: Final = 512
-"""Cells across the largest footprint that the core takes, so that one point never writes without bound."""
+"""Cells across the largest footprint, so that the cells written for one point are bounded."""
 
 MAX_MESSAGE_BYTES: Final = 1 << 29
-"""No message is larger, whatever is set: a log's reader takes none of twice that."""
+"""Upper bound of input.max_message: readers of the log refuse records of twice that size."""
 
 
 class Section(BaseModel):
@@ -48,7 +48,7 @@ class Section(BaseModel):
 def _known_layers(value: list[str]) -> list[str]:
     for name in value:
         if name not in LAYERS:
-            raise ValueError(f"must be of {', '.join(LAYERS)}")
+            raise ValueError(f"must be from {', '.join(LAYERS)}")
     return value
 
 
@@ -60,7 +60,7 @@ def _known_limits(value: dict[str, float]) -> dict[str, float]:
 
 
 class MapConfig(Section):
-    """The map: what a cell is, how errors spread, how much it may grow."""
+    """The map: its cells, its error model, and how much it may grow."""
 
     name: Name = "site"
     frame_id: Frame = "map"
@@ -75,9 +75,9 @@ class MapConfig(Section):
     bounds: MaybeBounds = None
     levels: Annotated[int, Field(ge=1, le=24), NUMBER] = 8
     memory_limit: Size = 2 << 30
-    """The process's resident memory beyond what it takes without tiles; then tiles go to the spill file."""
+    """Resident memory of the process, beyond what it needs without tiles; above it tiles go to the spill file."""
     spill_path: Annotated[str | None, MaybeNone] = None
-    """None: tiles.spill in log.directory."""
+    """Default: tiles.spill in log.directory."""
     spill_limit: Size = 64 << 30
     max_new_tiles: AtLeastOne = 4096
     max_tiles: AtLeastOne = 4_000_000
@@ -93,7 +93,7 @@ class MapConfig(Section):
         across = 2.0 * max(self.max_horizontal_radius, self.min_radius) / self.cell_size
         if not across <= MAX_FOOTPRINT_CELLS:
             raise ValueError(
-                f"map.max_horizontal_radius: must be at most {MAX_FOOTPRINT_CELLS // 2} map.cell_size, and so must "
+                f"map.max_horizontal_radius: must be at most {MAX_FOOTPRINT_CELLS // 2} map.cell_size, like "
                 f"map.min_radius; a footprint would be {across:.0f} cells across"
             )
         return self
@@ -104,30 +104,30 @@ def _endpoints(value: object) -> object:
 
 
 ENDPOINT_PATTERN = r"^[a-z][a-z0-9_-]*/.+"
-"""A Zenoh endpoint: protocol/address, and perhaps ?metadata and #settings."""
+"""A Zenoh endpoint: protocol/address, optionally with ?metadata and #settings."""
 
 Endpoint = Annotated[str, Field(pattern=ENDPOINT_PATTERN)]
 Endpoints = Annotated[list[Endpoint], BeforeValidator(_endpoints, json_schema_input_type=list[Endpoint] | Literal[""])]
 
 
 class ZenohConfig(Section):
-    """The session; what is given nowhere leaves the value of ``config_file`` (a Zenoh JSON5 file) alone."""
+    """The Zenoh session. Settings that are not given keep the value in ``config_file``, a Zenoh JSON5 file."""
 
     mode: Literal["peer", "client", "router"] = "peer"
     listen: Endpoints = ["tcp/127.0.0.1:7447"]
     connect: Endpoints = []
     scouting: bool = False
     shared_memory: bool = False
-    """Messages of this machine by shared memory; for each process that ever sent one, Zenoh keeps 17 MiB."""
+    """Use shared memory on this machine. Zenoh keeps 17 MiB for each process that ever sent a message."""
     config_file: Annotated[str | None, MaybeNone] = None
     authority: Annotated[str | None, MaybeNone] = None
-    """PEM file of the authority whose certificates are trusted; with it, whoever connects must have one."""
+    """PEM file of the trusted certificate authority. If set, clients must have a certificate of it."""
     certificate: Annotated[str | None, MaybeNone] = None
-    """PEM file of the certificate with which this session proves who it is, listening and connecting."""
+    """PEM file of this session's own certificate, for listening and connecting."""
     private_key: Annotated[str | None, MaybeNone] = None
     user: Annotated[str | None, MaybeNone] = None
     password: Annotated[SecretStr | None, MaybeNone] = None
-    """In the environment only (``ROUGHMAP_ZENOH__PASSWORD``)."""
+    """Environment only: ``ROUGHMAP_ZENOH__PASSWORD``."""
     password_file: Annotated[str | None, MaybeNone] = None
 
     @model_validator(mode="after")
@@ -142,7 +142,7 @@ class ZenohConfig(Section):
 
 
 class InputConfig(Section):
-    """What comes in: how long clouds wait, which poses place them, how large messages may be."""
+    """Inputs: how long clouds wait, which poses place them, how large messages may be."""
 
     max_wait: NotNegative = 0.5
     max_pose_gap: Positive = 0.5
@@ -153,37 +153,31 @@ class InputConfig(Section):
     placed_sigma: NotNegative = 0.02
     max_points: AtLeastOne = 4_000_000
     max_message: Size = 64 << 20
-    """Bytes of a message. A larger one is refused as `too_large`; one of more than twice as many is dropped before it
-    is whole, and nobody is told: a publisher's numbering shows the gap."""
+    """Bytes of a message. A larger one is refused as `too_large`. One of more than twice the size is dropped by Zenoh
+    before it is complete, without an error; only a publisher's numbering shows the gap."""
     queue_limit: Size = 64 << 20
     duplicates: NotNegativeWhole = 10_000
-    """Messages remembered, so that the same bytes sent again enter the map once; of the robot that has most of them the
-    oldest is forgotten first. A reset does not forget them, and what was sent before it does not enter the emptied map
-    by being sent again."""
+    """Messages remembered, so that the same bytes sent again enter the map once. The oldest message of the robot with
+    the most is forgotten first. A reset forgets none, so a message sent before it does not enter the empty map if it is
+    sent again."""
     robots: Annotated[list[Name], Once] = []
-    """Who may send; empty: any."""
+    """Robots that may send. Empty: all."""
     max_robots: AtLeastOne = 256
-    """Robots that are heard where ``robots`` names none: each costs a buffer of poses; one more is refused as
+    """Number of robots if ``robots`` is empty, since each needs a pose buffer. Any further one is refused as
     `unknown_robot`."""
-    max_poses: Annotated[int, Field(ge=2), NUMBER] = 20_000
-    """Poses kept a robot, whatever ``pose_history``: 10 s at 2 kHz."""
-    max_transforms: AtLeastOne = 1_000
-    """Transforms kept a robot: one a frame is needed, the rest serve odometry that arrives late."""
-    pose_queue: AtLeastOne = 10_000
-    """Poses and transforms of all robots that wait to be taken up: seconds, and a few MB; beyond it ``busy``."""
 
     @model_validator(mode="after")
     def _fits(self) -> "InputConfig":
         if self.max_message > min(self.queue_limit, MAX_MESSAGE_BYTES):
             raise ValueError(
                 f"input.max_message: must be at most input.queue_limit ({self.queue_limit}), or a cloud of that size "
-                f"is busy for ever, and at most {MAX_MESSAGE_BYTES}; found {self.max_message}"
+                f"would always be refused as busy, and at most {MAX_MESSAGE_BYTES}; found {self.max_message}"
             )
         return self
 
 
 class SensorConfig(Section):
-    """A sensor: where it sits on the robot, how far it is to be believed, which of its points are kept."""
+    """A sensor: its pose on the robot, its errors, and which of its points are kept."""
 
     translation: Three = (0.0, 0.0, 0.0)
     rotation: Rotation = (0.0, 0.0, 0.0, 1.0)
@@ -196,7 +190,7 @@ class SensorConfig(Section):
     ceiling: Ceiling = math.inf
     ceiling_slope: Real = 0.0
     exclude: list[Box] = []
-    """Boxes xmin, ymin, zmin, xmax, ymax, zmax in the robot's frame: the robot itself."""
+    """Boxes xmin, ymin, zmin, xmax, ymax, zmax in the robot's frame whose points are rejected: the robot itself."""
 
     @model_validator(mode="after")
     def _ranges(self) -> "SensorConfig":
@@ -212,9 +206,9 @@ def _all_optional(schema: dict[str, Any]) -> None:
 
 
 class SensorOverrides(SensorConfig):
-    """A robot's own settings of a sensor; what is left out comes from the general ones of that frame."""
+    """A robot's own settings of a sensor; others come from the general table of that frame."""
 
-    # Stands for a JSON Schema alone: when a robot is validated, its tables lie over the general ones already.
+    # Only for the JSON Schema: when a robot is validated, its tables are already merged over the general ones.
     model_config = ConfigDict(json_schema_extra=_all_optional)
 
 
@@ -223,7 +217,7 @@ def _as_it_is(value: object) -> object:
 
 
 class RobotConfig(Section):
-    """What differs on one robot: its sensors' settings, over the general ones of the same frame."""
+    """One robot: settings of its sensors, merged over the general ones of the same frame."""
 
     sensors: Annotated[
         dict[Frame, SensorConfig], BeforeValidator(_as_it_is, json_schema_input_type=dict[Frame, SensorOverrides])
@@ -231,7 +225,7 @@ class RobotConfig(Section):
 
 
 class UpdatesConfig(Section):
-    """What is published of tiles that change."""
+    """The published updates of tiles."""
 
     layers: Annotated[list[str], Field(min_length=1), Once, AfterValidator(_known_layers)] = [
         "mean_height",
@@ -243,17 +237,17 @@ class UpdatesConfig(Section):
 
 
 class QueryConfig(Section):
-    """How much may be asked at once."""
+    """Limits on queries."""
 
     workers: Annotated[int, Field(ge=1, le=256), NUMBER] = 4
     max_reply_tiles: AtLeastOne = 1024
     max_region_cells: AtLeastOne = 4_000_000
     max_running_cells: AtLeastOne = 16_000_000
-    """Cells of all queries that are answered at the same time, 64 bytes each; those of a region with more than five
+    """Cells of all queries that are answered at the same time, 64 bytes each. Cells of a region with more than five
     layers (f4) count several times."""
     queue_limit: AtLeastOne = 64
     cache_limit: Size = 64 << 20
-    """Bytes of encoded tiles that are kept for whoever asks the same again."""
+    """Bytes of encoded tiles kept for repeated queries."""
 
 
 class LogConfig(Section):
@@ -264,20 +258,20 @@ class LogConfig(Section):
     flush_interval: Positive = 0.2
     checkpoint_interval: Positive = 1.0
     max_file_bytes: Size = 1 << 30
-    """A file of this size ends, which is looked at between messages: it may be larger by what comes at once, a few
-    hundred messages, or with ``updates = "grids"`` all tiles that changed in a round."""
+    """Size at which a file ends. It is checked between batches, so a file may be larger by a few hundred messages, or
+    with ``updates = "grids"`` by all tiles that changed in one round."""
     max_file_age: Positive = 3600.0
     keep: Annotated[Size | None, MaybeNone] = None
-    """Bytes that the directory's log files may take, of all runs, the one that is written to among them, and what a
-    repair put beside them (``.torn``, ``.behind``); none keeps all. After a snapshot the oldest are deleted, none that
-    it needs; so between two snapshots there may be more."""
+    """Bytes of all log files in the directory: of all runs, with the current file and what a repair set aside
+    (``.torn``, ``.behind``). After each snapshot the oldest files that it does not need are deleted, so between
+    snapshots there may be more. Default: keep all."""
     updates: Literal["records", "grids", "none"] = "records"
     queries: bool = True
     queue_limit: Size = 128 << 20
 
 
 class StoreConfig(Section):
-    """The map between starts."""
+    """The stored map."""
 
     path: Annotated[str | None, MaybeNone] = None
     snapshot_interval: Positive = 10.0
@@ -293,13 +287,13 @@ def _address(value: str | None) -> str | None:
 
 
 class HttpConfig(Section):
-    """Where health, metrics and the viewer are served."""
+    """The HTTP server for health and metrics."""
 
     listen: Annotated[str | None, MaybeNone, AfterValidator(_address)] = "127.0.0.1:8080"
     token: Annotated[SecretStr | None, MaybeNone] = None
-    """What who asks for more than health must show; in the environment only (``ROUGHMAP_HTTP__TOKEN``)."""
+    """Bearer token, needed for anything but health. Environment only: ``ROUGHMAP_HTTP__TOKEN``."""
     token_file: Annotated[str | None, MaybeNone] = None
-    """File that holds it."""
+    """File with the token."""
 
     @model_validator(mode="after")
     def _one_token(self) -> "HttpConfig":
@@ -313,11 +307,9 @@ class ServiceConfig(Section):
 
     shutdown_timeout: Positive = 8.0
     threads: Annotated[int, Field(ge=0, le=1024), NUMBER] = 0
-    """Threads that integrate; 0: as many as numba takes."""
+    """Threads that integrate. 0: numba's default."""
     alive_wait: NotNegative = 15.0
-    """How long another instance's token is waited for; a dead one's lives until its lease ends."""
-    control_timeout: Positive = 30.0
-    """How long an operator's request (snapshot, reset) may take."""
+    """How long to wait for another instance to go. The token of a killed one stays until its Zenoh lease ends."""
     log_format: Literal["auto", "json", "text"] = "auto"
-    """Of the lines on stderr; "auto" is text on a terminal and JSON elsewhere."""
+    """Format of the lines on stderr. "auto" is text on a terminal and JSON elsewhere."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"

@@ -1,7 +1,4 @@
-"""What stands behind the ``?`` of each query: read and written side by side.
-
-``parse`` and ``format`` of each query are each other's inverse. Every fault has a code of the contract.
-"""
+"""The parameters behind the ``?`` of each query. ``parse`` and ``format`` are inverses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +13,7 @@ from roughmap_schemas.parameters import (
     Compression,
     Dtype,
     Limits,
-    Reader,
+    ParameterReader,
     format_bbox,
     format_limits,
     format_parameters,
@@ -35,10 +32,10 @@ from roughmap_schemas.parameters import (
 from roughmap_schemas.reasons import QueryCode
 
 MAX_POINTS: Final = 10_000
-"""Places that one ``cells`` query may ask about."""
+"""Places of one ``cells`` query."""
 
 MAX_PLACES_TEXT: Final = 1 << 20
-"""Bytes of JSON that are looked at for them: a hundred a place."""
+"""Bytes of JSON for them: a hundred per place."""
 
 Place = tuple[float, float]
 Metres = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -46,10 +43,10 @@ _PLACES: Final[TypeAdapter[list[Place]]] = TypeAdapter(list[tuple[Metres, Metres
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
-    """What all queries have in common: which layers, computed how.
+class LayersQuery:
+    """What all queries have in common: the layers, and how they are computed.
 
-    ``tolerance`` (the full width, metres) and ``limits`` are the map's where None.
+    ``tolerance`` is the full width in metres. ``tolerance`` and ``limits`` are the map's if None.
     """
 
     layers: tuple[str, ...] = DEFAULT_LAYERS
@@ -57,7 +54,7 @@ class Look:
     limits: Limits | None = None
 
     def parts(self) -> dict[str, str]:
-        """Give the parameters that differ from their defaults."""
+        """Return the parameters that differ from their defaults."""
         parts = {}
         if self.layers != DEFAULT_LAYERS:
             parts["layers"] = ",".join(self.layers)
@@ -69,15 +66,15 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GridLook(Look):
-    """What the queries have in common that are answered by grids: the numbers' type and the data's compression."""
+class GridsQuery(LayersQuery):
+    """What queries answered by grids have in common: the type of numbers and the compression of the data."""
 
     dtype: Dtype = "f4"
     compression: Compression = None
 
     def parts(self) -> dict[str, str]:
-        """Give the parameters that differ from their defaults."""
-        parts = Look.parts(self)
+        """Return the parameters that differ from their defaults."""
+        parts = LayersQuery.parts(self)
         if self.dtype != "f4":
             parts["dtype"] = self.dtype
         if self.compression is not None:
@@ -85,28 +82,28 @@ class GridLook(Look):
         return parts
 
 
-LOOK: Final = ("layers", "tolerance", "limits")
-GRID_LOOK: Final = (*LOOK, "dtype", "compression")
+LAYERS_NAMES: Final = ("layers", "tolerance", "limits")
+GRIDS_NAMES: Final = (*LAYERS_NAMES, "dtype", "compression")
 
 
-def _layers(reader: Reader) -> tuple[str, ...]:
+def _layers(reader: ParameterReader) -> tuple[str, ...]:
     return reader.take("layers", parse_layers, DEFAULT_LAYERS)
 
 
-def _tolerance(reader: Reader) -> float | None:
+def _tolerance(reader: ParameterReader) -> float | None:
     return reader.take("tolerance", parse_positive("tolerance"), None)
 
 
-def _limits(reader: Reader) -> Limits | None:
+def _limits(reader: ParameterReader) -> Limits | None:
     return reader.take("limits", parse_limits, None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TileQuery(GridLook):
+class TileQuery(GridsQuery):
     """The parameters of ``maps/{map}/tiles/...``.
 
     ``bbox`` is xmin, ymin, xmax, ymax in metres of the map frame, at every level; None is the whole map. ``since`` and
-    ``epoch`` name the state that the asker already has.
+    ``epoch`` name the state that the client already has.
     """
 
     bbox: Bbox | None = None
@@ -116,11 +113,11 @@ class TileQuery(GridLook):
     @classmethod
     def parse(cls, parameters: Mapping[str, str] | str) -> Self:
         """Read them; raises ``QueryFault``."""
-        reader = Reader(parameters, *GRID_LOOK, "bbox", "since", "epoch")
+        reader = ParameterReader(parameters, *GRIDS_NAMES, "bbox", "since", "epoch")
         since = reader.take("since", parse_count("since"), None)
         epoch = reader.take("epoch", parse_count("epoch"), None)
         if since is not None and epoch is None:
-            raise QueryFault(QueryCode.BAD_PARAMETER, "since: expected epoch=N with it, of the answer that it is from")
+            raise QueryFault(QueryCode.BAD_PARAMETER, "since: expected epoch=N of the same answer with it; found none")
         return cls(
             layers=_layers(reader),
             bbox=reader.take("bbox", parse_bbox, None),
@@ -145,7 +142,7 @@ class TileQuery(GridLook):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RegionQuery(GridLook):
+class RegionQuery(GridsQuery):
     """The parameters of ``maps/{map}/region``: the cells over ``bbox`` (metres) at ``level``."""
 
     bbox: Bbox
@@ -153,8 +150,8 @@ class RegionQuery(GridLook):
 
     @classmethod
     def parse(cls, parameters: Mapping[str, str] | str, levels: int) -> Self:
-        """Read them for a map of so many levels; raises ``QueryFault``."""
-        reader = Reader(parameters, *GRID_LOOK, "bbox", "level")
+        """Read them for a map with ``levels`` levels; raises ``QueryFault``."""
+        reader = ParameterReader(parameters, *GRIDS_NAMES, "bbox", "level")
         level = reader.take("level", parse_whole("level"), 0)
         if not 0 <= level < levels:
             raise QueryFault(QueryCode.BAD_LEVEL, f"level: expected 0 to {levels - 1}; found {level}")
@@ -181,15 +178,15 @@ class RegionQuery(GridLook):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CellsQuery(Look):
-    """What ``maps/{map}/cells`` is asked: places (x, y) in metres, one in the parameters or any number as JSON."""
+class CellsQuery(LayersQuery):
+    """A query of ``maps/{map}/cells``: places (x, y) in metres, one in the parameters or several as JSON payload."""
 
     points: tuple[Place, ...] = ()
 
     @classmethod
     def parse(cls, parameters: Mapping[str, str] | str, payload: bytes = b"") -> Self:
         """Read them; raises ``QueryFault``."""
-        reader = Reader(parameters, *LOOK, "x", "y")
+        reader = ParameterReader(parameters, *LAYERS_NAMES, "x", "y")
         x = reader.take("x", parse_coordinate("x"), None)
         y = reader.take("y", parse_coordinate("y"), None)
         layers, tolerance, limits = _layers(reader), _tolerance(reader), _limits(reader)
@@ -198,9 +195,7 @@ class CellsQuery(Look):
         elif x is None and y is None and payload:
             points = cls._parse_payload(payload)
         else:
-            raise QueryFault(
-                QueryCode.BAD_PARAMETER, "expected x=..;y=.. or JSON [[x, y], ...] in the payload, and not both"
-            )
+            raise QueryFault(QueryCode.BAD_PARAMETER, "expected either x=..;y=.. or JSON [[x, y], ...] in the payload")
         return cls(layers=layers, tolerance=tolerance, limits=limits, points=points)
 
     @staticmethod
@@ -213,14 +208,14 @@ class CellsQuery(Look):
             points = _PLACES.validate_json(payload)
         except ValidationError:
             raise QueryFault(
-                QueryCode.BAD_PARAMETER, "payload: expected JSON [[x, y], ...] of finite numbers; found something else"
+                QueryCode.BAD_PARAMETER, "payload: expected JSON [[x, y], ...] of finite numbers"
             ) from None
         if len(points) > MAX_POINTS:
             raise QueryFault(QueryCode.TOO_LARGE, f"payload: expected at most {MAX_POINTS} places; found {len(points)}")
         return tuple(points)
 
     def format(self) -> tuple[str, bytes]:
-        """Write the parameters and the payload (empty for a single place)."""
+        """Return the parameters and the payload, which is empty for a single place."""
         parts = self.parts()
         if len(self.points) == 1:
             (x, y) = self.points[0]
@@ -235,9 +230,9 @@ __all__ = [
     "CellsQuery",
     "Compression",
     "Dtype",
-    "GridLook",
+    "GridsQuery",
+    "LayersQuery",
     "Limits",
-    "Look",
     "RegionQuery",
     "TileQuery",
     "parse_parameters",

@@ -1,4 +1,4 @@
-"""Transforms between frames: ``foxglove.FrameTransform`` and numbers."""
+"""Transforms between frames: ``foxglove.FrameTransform`` from and to numbers."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -23,12 +23,12 @@ from roughmap_schemas.wire import check_outline, check_size, parse
 WHAT: Final = "foxglove.FrameTransform"
 
 MAX_FRAME: Final = 256
-"""Characters of a frame's name: it is kept, a frame each, so its length must have a bound."""
+"""Characters of a frame's name. Names are kept, so their length must be bounded."""
 
 
 @dataclass(frozen=True, slots=True)
 class Transform:
-    """Where ``child_frame_id`` lies in ``parent_frame_id`` from ``stamp_ns`` on.
+    """The pose of ``child_frame_id`` in ``parent_frame_id`` from ``stamp_ns`` on.
 
     ``translation`` in metres, ``rotation`` a unit quaternion x, y, z, w.
     """
@@ -61,7 +61,7 @@ def decode_transform(payload: bytes, *, max_message: int) -> Transform:
 def encode_transform(
     stamp_ns: int, parent_frame_id: str, child_frame_id: str, translation: ArrayLike, rotation: ArrayLike
 ) -> bytes:
-    """Make a transform's payload; shapes (3,) and (4,) x y z w. Raises ValueError."""
+    """Return a transform's payload, from arrays of shape (3,) and (4,) x y z w; raises ValueError."""
     message = FrameTransform()
     write_stamp(message, stamp_ns)
     message.parent_frame_id = parent_frame_id

@@ -1,4 +1,4 @@
-"""Kinds of values that settings have: numbers with their ranges, sizes, names."""
+"""The types of settings: numbers with their ranges, sizes, names."""
 
 import math
 import re
@@ -25,14 +25,14 @@ SIZE: Final = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,6})?) ?([A-Za-z]{0,3})")
 
 
 def _no_bool(value: object) -> object:
-    """Refuse true and false where a number is wanted; pydantic would take them for 1 and 0."""
+    """Refuse true and false for a number; pydantic would read them as 1 and 0."""
     if isinstance(value, bool):
         raise ValueError("must be a number")
     return value
 
 
 def parse_size(value: object) -> int:
-    """Read bytes: a whole number, or a text such as ``64MiB``, ``1.5GiB`` or ``100MB``. Raises ValueError."""
+    """Read a size in bytes: a whole number, or a text such as ``64MiB``, ``1.5GiB`` or ``100MB``. Raises ValueError."""
     if isinstance(value, int) and not isinstance(value, bool):
         return value
     match = SIZE.fullmatch(value.strip()) if isinstance(value, str) else None
@@ -43,7 +43,7 @@ def parse_size(value: object) -> int:
 
 
 def _nothing(value: object) -> object:
-    """Take "" for none."""
+    """Read "" as none."""
     return None if value == "" else value
 
 
@@ -63,27 +63,27 @@ def _box(value: tuple[float, ...]) -> tuple[float, ...]:
 
 def _once(value: list[Any]) -> list[Any]:
     if len({str(item) for item in value}) != len(value):
-        raise ValueError("must hold each value once")
+        raise ValueError("must have each value once")
     return value
 
 
 NUMBER: Final = BeforeValidator(_no_bool)
-"""Stands last in an annotation: ranges before it belong to the number, and to its JSON Schema."""
+"""Must be last in an annotation, so that the ranges before it stay part of the number's JSON Schema."""
 
 Real = Annotated[float, Field(allow_inf_nan=False), NUMBER]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), NUMBER]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), NUMBER]
 LEAST: Final = 1e-30
 Measure = Annotated[float, Field(ge=LEAST, le=1e30), NUMBER]
-"""A number above 0 whose squares and cubes are float64 numbers too, as the map core wants its lengths."""
+"""A number above 0 whose squares and cubes are finite and not 0 in float64, as the map core requires of lengths."""
 Share = Annotated[float, Field(ge=0, le=1), NUMBER]
-# JSON, which has no infinity, says "inf".
+# JSON has no infinity: there it is the text "inf".
 Reach = Annotated[
     float,
     Field(gt=0),
     BeforeValidator(_no_bool, json_schema_input_type=Annotated[float, Field(gt=0)] | Literal["inf"]),
 ]
-"""A distance that may be infinite; nan is not above 0."""
+"""A distance that may be infinite. NaN is refused, since it is not above 0."""
 Ceiling = Annotated[
     float, Field(gt=-math.inf), BeforeValidator(_no_bool, json_schema_input_type=float | Literal["inf"])
 ]
@@ -100,10 +100,10 @@ Rotation = Annotated[tuple[Real, Real, Real, Real], AfterValidator(_unit)]
 Bounds = Annotated[tuple[Real, Real, Real, Real], AfterValidator(_box)]
 Box = Annotated[tuple[Real, Real, Real, Real, Real, Real], AfterValidator(_box)]
 MaybeNone = BeforeValidator(_nothing)
-"""Where "" stands for none."""
+"""Lets "" mean none."""
 MaybeBounds = Annotated[
     Bounds | None, BeforeValidator(_nothing, json_schema_input_type=tuple[Real, Real, Real, Real] | Literal[""] | None)
 ]
 
 Once = AfterValidator(_once)
-"""A list in which nothing stands twice."""
+"""Refuses a list with the same value twice."""

@@ -1,8 +1,8 @@
-"""The first look at a protobuf payload: its outline, before anything is made from it.
+"""Checks a protobuf payload's outline before it is parsed.
 
-A payload of another message type mostly parses: fields whose kind on the wire is not the schema's are set aside as
-unknown, and the rest stay at their defaults. Here such a payload is told apart, and the number of entries is bounded
-before the parser makes an object of each.
+Protobuf parses most payloads of another message type without an error: fields with an unexpected wire type count as
+unknown, and the rest keep their defaults. The outline shows such a payload. It also bounds the number of entries before
+the parser makes an object of each.
 """
 
 from collections.abc import Iterator
@@ -14,18 +14,18 @@ from google.protobuf.message import DecodeError, Message
 from roughmap_schemas.faults import bad_message, too_large
 
 MAX_ENTRIES: Final = 4096
-"""Entries of a message, nested ones included: a cloud has about forty, odometry with metadata a few hundred."""
+"""Entries of a message, including nested ones. A cloud has about forty, odometry with metadata a few hundred."""
 
 VARINT, FIXED64, LENGTH, FIXED32 = 0, 1, 2, 5
 
 WIRE_OF_TYPE: Final = {1: 1, 2: 5, 3: 0, 4: 0, 5: 0, 6: 1, 7: 5, 8: 0, 9: 2, 11: 2, 12: 2, 13: 0, 14: 0, 15: 5, 16: 1}
-"""The kind on the wire of each ``FieldDescriptor.type`` (17 and 18, zigzag, are varints too)."""
+"""The wire type of each ``FieldDescriptor.type``; the zigzag types 17 and 18 are varints too."""
 
 P = TypeVar("P", bound=Message)
 
 
 class Entry(NamedTuple):
-    """One field as it lies in a payload: its number, its kind, where its tag begins and its value begins and ends."""
+    """One field of a payload: number, wire type, and where its tag begins and its value begins and ends."""
 
     number: int
     wire: int
@@ -35,7 +35,7 @@ class Entry(NamedTuple):
 
 
 def entries(payload: bytes, what: str, start: int, end: int) -> Iterator[Entry]:
-    """Walk the entries of the message that lies in ``payload[start:end]``; raises ``MessageFault`` where it breaks."""
+    """Yield the entries of the message in ``payload[start:end]``; raises ``MessageFault`` at the first invalid one."""
     at = start
     while at < end:
         tag = at
@@ -74,7 +74,7 @@ def _varint(payload: bytes, what: str, at: int, end: int) -> tuple[int, int]:
 
 
 def write_varint(value: int) -> bytes:
-    """A number, 0 or more, as it stands before what is as long: seven bits a byte, the lowest first."""
+    """Return a number from 0 as a protobuf varint: seven bits per byte, the lowest first."""
     out = bytearray()
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)
@@ -84,7 +84,7 @@ def write_varint(value: int) -> bytes:
 
 
 class _Outline(NamedTuple):
-    """What a message's fields look like on the wire."""
+    """The wire types of a message's fields."""
 
     name: str
     wires: dict[int, tuple[int, ...]]
@@ -105,10 +105,10 @@ def _outline_of(descriptor: Any) -> _Outline:
 
 
 def check_outline(payload: bytes, kind: type[Message]) -> list[Entry]:
-    """Walk a whole payload and give its top entries.
+    """Walk a whole payload and return its top-level entries.
 
-    Raises ``MessageFault``: ``bad_message`` if it is cut off, no protobuf, or has a field of this schema in another
-    kind; ``too_large`` for more than ``MAX_ENTRIES`` entries. Fields that the schema does not have are passed over.
+    Raises ``MessageFault``: ``bad_message`` if it is cut off, is not protobuf, or has a field of this schema with
+    another wire type; ``too_large`` for more than ``MAX_ENTRIES`` entries. Fields outside the schema are ignored.
     """
     outline = _outline_of(kind.DESCRIPTOR)
     top: list[Entry] = []
@@ -140,7 +140,7 @@ def check_size(payload: bytes, what: str, max_message: int) -> None:
 
 
 def parse(payload: bytes, kind: type[P]) -> P:
-    """Parse a payload that has been looked at; raises ``MessageFault`` (``bad_message``)."""
+    """Parse a payload whose outline was checked; raises ``MessageFault`` (``bad_message``)."""
     message = kind()
     try:
         message.ParseFromString(payload)

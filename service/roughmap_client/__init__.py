@@ -1,8 +1,9 @@
-"""roughmap for planners: ask a service for its map, and feed it, over Zenoh."""
+"""The Python client: query a roughmap service for its map, and feed it, over Zenoh."""
 
 from roughmap_client.client import RoughMapClient
 from roughmap_client.errors import (
     BadArgument,
+    ContractMismatch,
     IncompleteAnswer,
     MixedInstances,
     NoAnswer,
@@ -17,6 +18,7 @@ __all__ = [
     "BadArgument",
     "Cells",
     "Changes",
+    "ContractMismatch",
     "IncompleteAnswer",
     "Layers",
     "MixedInstances",

@@ -1,4 +1,4 @@
-"""How a session proves who it is, put into a Zenoh configuration; and Zenoh's errors, without their secrets."""
+"""Certificates and passwords in a Zenoh configuration, and Zenoh's error messages without secrets."""
 
 import contextlib
 import json
@@ -13,22 +13,22 @@ from roughmap_schemas.faults import ConfigFault
 from roughmap_schemas.sections import ZenohConfig
 
 MAX_PASSWORD: Final = 4096
-"""Bytes of a password file: anything larger is another file."""
+"""Bytes of a password file: anything larger is some other file."""
 
 
 def read_zenoh_file(path: str | Path, name: str = "zenoh.config_file") -> zenoh.Config:
-    """Read a Zenoh configuration (JSON5); ConfigFault says where it is wrong, but not what stands there."""
+    """Read a Zenoh configuration (JSON5); raises ConfigFault, which names the place of an error but not its text."""
     _check_readable(name, path)
     try:
         return zenoh.Config.from_file(str(path))
     except zenoh.ZError as error:
-        raise ConfigFault(f"{name}: {path}: is no Zenoh configuration{_place(str(error))}") from None
+        raise ConfigFault(f"{name}: {path}: not a Zenoh configuration{_place(str(error))}") from None
 
 
 def add_access(config: zenoh.Config, given: ZenohConfig) -> None:
-    """Put certificates, user and password of the ``zenoh`` settings into a configuration; what isn't given stays.
+    """Put the certificates, user and password of the ``zenoh`` settings into a configuration; keep what isn't given.
 
-    ConfigFault for a file that can't be read.
+    Raises ConfigFault for an unreadable file.
     """
     tls: dict[str, object] = {}
     if given.authority:
@@ -52,24 +52,24 @@ def add_access(config: zenoh.Config, given: ZenohConfig) -> None:
 
 
 def endpoints_of(config: zenoh.Config, which: str) -> list[str]:
-    """Give the endpoints to which a session will ``listen`` or ``connect``, in its mode."""
+    """Return the endpoints on which a session will ``listen``, or to which it will ``connect``, in its mode."""
     value = _of_mode(setting(config, f"{which}/endpoints"), setting(config, "mode") or "peer")
-    # Several to one neighbour may stand in a table with its strategy.
+    # Several endpoints of one neighbour may be in a table with its strategy.
     groups = [one["locators"] if isinstance(one, dict) else [one] for one in value or []]
     return [endpoint for group in groups for endpoint in group]
 
 
 def setting(config: zenoh.Config, path: str) -> Any:
-    """Give a value of a Zenoh configuration, None where it is left to Zenoh."""
+    """Return a value of a Zenoh configuration, None if it is left to Zenoh."""
     return json.loads(config.get_json(path))
 
 
-def told(error: Exception, config: zenoh.Config) -> str:
-    """Give what Zenoh says of a failure in one line, without secrets and where in its own sources it arose."""
+def zenoh_message(error: Exception, config: zenoh.Config) -> str:
+    """Return Zenoh's message of an error in one line, without secrets and without the place in Zenoh's sources."""
     text = str(error).split("\n", 1)[0].split(" at /", 1)[0]
     for endpoint in endpoints_of(config, "listen") + endpoints_of(config, "connect"):
         text = text.replace(endpoint, without_secrets(endpoint))
-    # And whatever else looks like an endpoint's end: Zenoh may write it in another way than the configuration does.
+    # And anything else that looks like the end of an endpoint: Zenoh may format it differently.
     return re.sub(rf"(/[^\s?#\]),]+)[?#](?!{HIDDEN})[^\s\]),]*", rf"\1#{HIDDEN}", text)[:200]
 
 
@@ -96,7 +96,7 @@ def _check_readable(name: str, path: str | Path) -> None:
 
 
 def _place(error: str) -> str:
-    """Line, column and what was expected there. What was found may be a password, and is left out."""
+    """Return line, column and what was expected there, but not what was found: it may be a password."""
     at = re.search(r"line: (\d+), column: (\d+)", error) or re.search(r"--> (\d+):(\d+)", error)
     expected = re.search(r"expected ([^\"\n]+?)(?:\"| at /|$)", error, re.MULTILINE)
     return (f", line {at[1]}, column {at[2]}" if at else "") + (f": expected {expected[1]}" if expected else "")

@@ -1,7 +1,6 @@
-"""What a planner imports: one map of one service, asked over Zenoh, as numpy arrays."""
+"""`RoughMapClient`: one map of one service, over Zenoh, as numpy arrays."""
 
 import json
-import threading
 import time
 import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -26,17 +25,17 @@ T = TypeVar("T")
 Bbox = tuple[float, float, float, float]
 InputKind = Literal["points", "odometry", "transform"]
 
-AGAIN_S = 0.1
-AGAIN_MOST_S = 2.0
-"""Where nobody answers, or the service is too busy, the question is asked again: first after the one, and after twice
-as long each time, up to the other."""
+RETRY_S = 0.1
+MAX_RETRY_S = 2.0
+"""A query without an answer, or refused as busy, is repeated: first after ``RETRY_S``, then after twice as long each
+time, up to ``MAX_RETRY_S``."""
 
 RECEIPT_S = 2.0
-"""A receipt that did not come after so long is not waited for any more: the same bytes are sent again, which does no
-harm, since the service knows them by their hash."""
+"""If no receipt comes within this time, the same bytes are sent again. That does no harm: the service recognises them
+by their hash."""
 
-PASSING = frozenset({"busy", "shutting_down", "log_unavailable"})
-"""Refusals that may be gone when the same is asked again."""
+RETRIABLE = frozenset({"busy", "shutting_down", "log_unavailable"})
+"""Codes of errors that pass by themselves."""
 
 INPUT_ENCODINGS: Mapping[str, str] = {
     "points": encodings.POINT_CLOUD,
@@ -46,18 +45,19 @@ INPUT_ENCODINGS: Mapping[str, str] = {
 
 
 class RoughMapClient:
-    """One map's reader and feeder; a context manager, usable from several threads.
+    """A client of one map; a context manager, usable from several threads.
 
-    ``connect`` are Zenoh endpoints of the service or of a router, such as ``tcp/127.0.0.1:7447``; or give a ``session``
-    of your own, which is then left open at the end. ``config`` is a Zenoh configuration, or its file (JSON5), with
-    certificates, user and password, and endpoints where ``connect`` gives none. ``timeout`` (s) bounds every call, and
-    so does each call's own: within it a question is asked again while nobody answers, so that a service that restarts
-    meanwhile is waited for. Coordinates and heights are metres in the map's frame, angles radians, stamps nanoseconds
-    since the Unix epoch.
+    ``connect`` are Zenoh endpoints of the service or of a router, such as ``tcp/127.0.0.1:7447``. Instead, you may pass
+    a ``session`` of your own, which is left open at the end. ``config`` is a Zenoh configuration, or a file with one
+    (JSON5): certificates, user and password, and endpoints if ``connect`` has none. ``timeout`` (s) bounds every call
+    that has none of its own. Within it, queries without an answer are repeated, so a call waits for a service that
+    restarts. Coordinates and heights are metres in the map's frame, angles radians, stamps nanoseconds since the Unix
+    epoch.
 
-    All errors are RoughMapError: BadArgument before anything is asked; NoAnswer if none came within the time limit;
-    QueryRefused with the service's code; IncompleteAnswer, MixedInstances and UnreadableAnswer for answers that must
-    not be used. The constructor raises BadArgument, and NoAnswer if no connection comes about within ``timeout``.
+    All errors are RoughMapError: BadArgument before anything is sent; NoAnswer if no answer came in time; QueryRefused
+    with the service's code; IncompleteAnswer, MixedInstances and UnreadableAnswer for answers that must not be used;
+    ContractMismatch for a service of another major version of the contract. The constructor raises BadArgument, and
+    NoAnswer if no connection comes about within ``timeout``.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class RoughMapClient:
         self.close()
 
     def close(self) -> None:
-        """End its watches, and close the session if it is the client's own."""
+        """Close all watches, and the session if the client opened it."""
         for watch in list(self._watches):
             watch.close()
         if self._owned and not self._session.is_closed():
@@ -106,12 +106,12 @@ class RoughMapClient:
         dtype: Literal["f4", "f8"] = "f4",
         timeout: float | None = None,
     ) -> Region:
-        """Layers over ``bbox`` (xmin, ymin, xmax, ymax in metres) as one mosaic, NaN where nothing is known.
+        """Return layers over ``bbox`` (xmin, ymin, xmax, ymax in metres), NaN in unknown cells.
 
         Each layer is (ny, nx) of ``dtype``, row 0 at the lowest y, over the cells of ``level`` (side: cell size times
-        2^level) that the box covers, in the map's units (metres, radians; see the contract's table of layers).
-        ``tolerance`` (m) is the full width of `confidence_level` (eq. 11), ``limits`` are `traversability`'s; None: the
-        map's. QueryRefused: `bad_bbox`, `bad_level`, `unknown_layer`, `bad_parameter`, `too_large`.
+        2^level) that the box covers. ``schemas/README.md`` lists the layers and their units. ``tolerance`` (m) is the
+        full width of `confidence_level` (eq. 11), ``limits`` are those of `traversability`; None: the map's.
+        QueryRefused: `bad_bbox`, `bad_level`, `unknown_layer`, `bad_parameter`, `too_large`.
         """
         asked = RegionQuery(
             bbox=bbox, layers=tuple(layers), level=level, tolerance=tolerance, limits=limits, dtype=dtype,
@@ -128,10 +128,10 @@ class RoughMapClient:
         level: int = 0,
         timeout: float | None = None,
     ) -> list[Tile]:
-        """The known tiles that meet ``bbox`` (metres, half-open; None: all), each whole, all of one state of the map.
+        """Return the known tiles that meet ``bbox`` (metres, half-open; None: all), whole, of one state of the map.
 
-        Ascending by (x, y); layers are (64, 64) float32 as in `region`. An empty list says that a service is there and
-        knows no such tile. QueryRefused: `bad_bbox`, `bad_level`, `unknown_layer`, `too_large`.
+        Tiles ascend by (x, y); layers are (64, 64) float32 as in `region`. An empty list means that the service has no
+        such tile. QueryRefused: `bad_bbox`, `bad_level`, `unknown_layer`, `too_large`.
         """
         asked = TileQuery(bbox=bbox, layers=tuple(layers), compression="zstd")
         until = self._until(timeout)
@@ -146,10 +146,11 @@ class RoughMapClient:
         level: int = 0,
         timeout: float | None = None,
     ) -> Changes:
-        """The tiles that changed since a version, of an earlier answer's ``version``; None: all tiles.
+        """Return the tiles that changed since the ``version`` of an earlier answer; None: all tiles.
 
-        If the map was restarted or reset since, ``anew`` is true and the tiles are all there are, those that a reset
-        emptied with `known_cells` 0. Ask with the same ``bbox`` and ``level`` as before. QueryRefused as `tiles`.
+        If the service was restarted or the map reset since, ``complete`` is true and the tiles are the whole map, with
+        `known_cells` 0 for tiles that a reset emptied. Use the same ``bbox`` and ``level`` as before. QueryRefused: as
+        `tiles`.
         """
 
         def query(before: MapStatus) -> TileQuery:
@@ -160,10 +161,10 @@ class RoughMapClient:
             )  # fmt: skip
 
         tiles, before = self._tiles_and_status(query, level, self._until(timeout))
-        # Without a tile the answer tells no version; what was true before it is the latest that is known for sure.
+        # An empty answer has no version; the status from before it is the latest that is certain.
         version = tiles[0].version if tiles else Version(before.epoch, before.sequence, before.instance)
         held = _held(since, before)
-        return Changes(version, tiles, anew=held is None or held.epoch != version.epoch)
+        return Changes(version, tiles, complete=held is None or held.epoch != version.epoch)
 
     def watch(
         self,
@@ -174,11 +175,10 @@ class RoughMapClient:
     ) -> Watch:
         """Call ``callback`` with each tile of a level as it changes, until the watch is closed (a context manager).
 
-        The service publishes the layers and levels of its ``updates`` settings. Tiles come one by one in a thread of
-        their own; while the callback is busy, a newer state of a tile takes the place of an older one that waits. What
-        the callback raises is logged, and the watch goes on. ``on_error`` is told of updates that can't be read (they
-        are logged otherwise). The watch outlives a restart of the service; a tile's ``version`` tells of it.
-        NoAnswer if the session is closed.
+        The service publishes the layers and levels in its ``updates`` settings. Callbacks come one by one in a thread
+        of their own; while one runs, newer states of a tile replace older ones that wait. Exceptions of the callback
+        are logged, and the watch goes on. Unreadable updates go to ``on_error``, or are logged without it. The watch
+        goes on after a restart of the service, with another ``version.epoch``. Raises NoAnswer on a closed session.
         """
         key = self._keys.form("updates").make(z=level, x="*", y="*")
         watch = Watch(self._session, key, read_update, callback, on_error)
@@ -194,10 +194,10 @@ class RoughMapClient:
         limits: Mapping[str, float] | None = None,
         timeout: float | None = None,
     ) -> Cells:
-        """The cells in which places (N, 2) in metres fall, N at most 10,000, in the order of the places.
+        """Return the cells at places (N, 2) in metres, N at most 10,000, in the order of the places.
 
         ``tolerance`` and ``limits`` as in `region`. BadArgument for another shape; QueryRefused: `too_large`,
-        `bad_parameter` (places that are not finite, or whose cells' numbers are not int32), `unknown_layer`.
+        `bad_parameter` (places that are not finite or beyond int32 cells), `unknown_layer`.
         """
         try:
             places = np.asarray(points, np.float64)
@@ -213,15 +213,15 @@ class RoughMapClient:
         return read_cells(answer, asked.layers, len(places))
 
     def status(self, *, timeout: float | None = None) -> MapStatus:
-        """How the service and its map are."""
+        """Return the status of the service and its map."""
         return self._status(self._until(timeout))
 
     def ingest(
         self, message: bytes, robot: str, *, kind: InputKind = "points", timeout: float | None = None
     ) -> Receipt:
-        """Hand in a cloud (or pose, or transform) as encoded; its receipt says that the log holds it, on the disk.
+        """Send a cloud, pose or transform and return its receipt: the message is in the log, on the disk.
 
-        ``message`` is a serialised foxglove.PointCloud (Odometry, FrameTransform). Where no receipt comes, or the
+        ``message`` is a serialised foxglove.PointCloud, Odometry or FrameTransform. While no receipt comes or the
         service is busy, the same bytes are sent again, until the time limit; the service takes them once.
         QueryRefused: `bad_message`, `too_large`, `unknown_sensor`, `unknown_robot`, `busy`, `log_unavailable`,
         `shutting_down`. After NoAnswer the message may or may not be logged: send the same bytes again.
@@ -229,7 +229,7 @@ class RoughMapClient:
         if kind not in INPUT_ENCODINGS:
             raise BadArgument(f"kind: expected one of {', '.join(INPUT_ENCODINGS)}; found {kind!r}")
         if not NAME.fullmatch(robot):
-            raise BadArgument(f"robot: expected a name of {NAME_WORDS}; found {robot[:80]!r}")
+            raise BadArgument(f"robot: expected {NAME_WORDS}; found {robot[:80]!r}")
         part = self._ask(
             self._keys.form(f"ingest_{kind}").make(robot=robot), "", self._until(timeout), Answer.single,
             payload=message, encoding=INPUT_ENCODINGS[kind], attempt=RECEIPT_S,
@@ -237,20 +237,20 @@ class RoughMapClient:
         return read_model(part, Receipt)
 
     def _until(self, timeout: float | None) -> float:
-        """The end of a call, on the monotonic clock."""
+        """Return the end of a call on the monotonic clock."""
         return time.monotonic() + (self._timeout if timeout is None else timeout)
 
     def _status(self, until: float) -> MapStatus:
         return read_model(self._ask(self._keys.status, "", until, Answer.single), MapStatus)
 
     def _tiles(self, asked: TileQuery, level: int, until: float) -> list[Tile]:
-        """One answer; none if there is no such tile, or nobody to answer."""
+        """Return the tiles of one answer; none if there is no such tile or no service."""
         return read_tiles(self._ask(self._keys.tiles(level), asked.format(), until, Answer.whole), asked.layers)
 
     def _tiles_and_status(
         self, query: Callable[[MapStatus], TileQuery], level: int, until: float
     ) -> tuple[list[Tile], MapStatus]:
-        """Tiles and the status right before, of one instance: so an empty answer is the service's and no silence."""
+        """Return tiles and the status right before them, of one instance, so that an empty answer is the service's."""
         while True:
             before = self._status(until)
             tiles = self._tiles(query(before), level, until)
@@ -269,9 +269,9 @@ class RoughMapClient:
         encoding: str | None = None,
         attempt: float = float("inf"),
     ) -> T:
-        """Ask until ``take`` accepts an answer, or the time limit comes: then its last error is raised."""
+        """Repeat a query until ``take`` accepts its answer; at the time limit, raise its last error."""
         selector = f"{key}?{parameters}" if parameters else key
-        pause, nobody = AGAIN_S, threading.Event()
+        pause = RETRY_S
         while True:
             left = max(until - time.monotonic(), 0.001)
             try:
@@ -281,18 +281,18 @@ class RoughMapClient:
                 )  # fmt: skip
                 return take(answer)
             except QueryRefused as refused:
-                if refused.code not in PASSING or time.monotonic() + AGAIN_S >= until:
+                if refused.code not in RETRIABLE or time.monotonic() + RETRY_S >= until:
                     raise
             except NoAnswer:
-                if self._session.is_closed() or time.monotonic() + AGAIN_S >= until:
+                if self._session.is_closed() or time.monotonic() + RETRY_S >= until:
                     raise
-            # Half of what is left at most, so that the last time comes near the limit.
-            nobody.wait(min(pause, max((until - time.monotonic()) / 2, AGAIN_S)))
-            pause = min(2 * pause, AGAIN_MOST_S)
+            # At most half of the time left, so that the last attempt comes near the limit.
+            time.sleep(min(pause, max((until - time.monotonic()) / 2, RETRY_S)))
+            pause = min(2 * pause, MAX_RETRY_S)
 
 
 def _held(since: Version | None, status: MapStatus) -> Version | None:
-    """The version if it is one of this run's past; None if all tiles must be asked for."""
+    """Return the version if it is in this run's past, None if all tiles must be queried."""
     if since is None or (since.epoch, since.sequence) > (status.epoch, status.sequence):
         return None
     if since.epoch == status.epoch and since.instance not in {"", status.instance}:

@@ -1,34 +1,37 @@
-"""What can go wrong for a planner, as one tree."""
+"""The errors of the client: one tree under `RoughMapError`."""
+
+from roughmap_schemas.faults import ReportedError
 
 __all__ = [
     "BadArgument",
+    "ContractMismatch",
     "IncompleteAnswer",
     "MixedInstances",
     "NoAnswer",
     "QueryRefused",
     "RoughMapError",
     "UnreadableAnswer",
-    "in_short",
+    "short_message",
 ]
 
 
-class RoughMapError(Exception):
-    """Base of everything that the client raises of its own accord."""
+class RoughMapError(ReportedError):
+    """The base of all errors of the client."""
 
 
 class BadArgument(RoughMapError, ValueError):
-    """What the caller gave can't be asked of any service: a name that is none, points that are not (N, 2)."""
+    """An invalid argument, such as a bad name or points that are not (N, 2); nothing was sent."""
 
 
 class NoAnswer(RoughMapError):
-    """Nothing came within the time limit: no service of that name is reachable, or it is too busy, or access is denied
-    (a denial by access control is silent)."""
+    """No answer within the time limit: the service is not reachable or too busy, or access control denies the query,
+    which it does silently."""
 
 
 class QueryRefused(RoughMapError):
     """The service answered with an error.
 
-    `code` is one of the contract's (`bad_bbox`, `too_large`, `busy`, ...), `message` says what was wrong.
+    `code` is one of the contract's (`bad_bbox`, `too_large`, `busy`, ...); `message` says what was expected and found.
     """
 
     def __init__(self, code: str, message: str) -> None:
@@ -38,18 +41,22 @@ class QueryRefused(RoughMapError):
 
 
 class IncompleteAnswer(RoughMapError):
-    """Parts of an answer are missing, or are of different states of the map: the link broke or the time ran out in
-    between. Nothing of it is handed on; ask again."""
+    """Replies of an answer are missing, or show different states of the map, because the link broke or time ran out.
+    None of them are returned; ask again."""
 
 
 class MixedInstances(RoughMapError):
-    """Two services answer on the same keys. Their maps differ, so nothing of the answer is handed on."""
+    """Two services answer on the same keys. Their maps differ, so none of their replies are returned."""
 
 
 class UnreadableAnswer(RoughMapError):
-    """An answer is not in the contract's form: another program, or a service of another release, answers here."""
+    """An answer is not in the contract's form: some other program answers on these keys."""
 
 
-def in_short(error: Exception) -> str:
-    """What Zenoh says of a failure, without where in its own sources it arose (" at /.../file.rs:12")."""
+class ContractMismatch(RoughMapError):
+    """The service and this client speak different major versions of the contract. Upgrade the older of the two."""
+
+
+def short_message(error: Exception) -> str:
+    """Return Zenoh's message of an error without the place in Zenoh's sources (" at /.../file.rs:12")."""
     return str(error).split("\n", 1)[0].split(" at /", 1)[0][:200]

@@ -1,4 +1,5 @@
-"""From replies to arrays: each is checked to be in the contract's form, and all to be of one map and one state."""
+"""From replies to arrays. Each reply must be in the contract's form, and all of an answer must show one state of one
+map."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -6,6 +7,7 @@ from typing import TypeVar
 import numpy as np
 import zenoh
 
+from roughmap_client.contract import read_reply
 from roughmap_client.errors import IncompleteAnswer, MixedInstances, UnreadableAnswer
 from roughmap_client.results import Cells, Region, Tile, Version
 from roughmap_client.session import Part
@@ -17,44 +19,43 @@ from roughmap_schemas import (
     decode_grid,
     encodings,
     json_encoding,
-    parse_model,
 )
 from roughmap_schemas.grid import MAX_DATA
 from roughmap_schemas.layers import LAYERS
-from roughmap_schemas.messages import Message
+from roughmap_schemas.messages import Reply
 
-M = TypeVar("M", bound=Message)
+R = TypeVar("R", bound=Reply)
 
 TILE_CELLS = 64
-"""Cells along a side of a tile; the contract's, stands here so that a client need not load the kernels."""
+"""Cells along a tile's side, as in the contract; repeated here so that a client need not load the kernels."""
 
 
 TILE_BYTES = TILE_CELLS * TILE_CELLS * 8 * len(LAYERS)
-"""All layers of a tile as float64: what claims to unpack to more, a few packed bytes can, is none."""
+"""All layers of a tile as float64. A few compressed bytes can claim to unpack to more; such a tile is refused."""
 
 
 def read_region(part: Part, layers: Sequence[str]) -> Region:
-    """The one reply to a region query."""
+    """Return the region in the one reply to a region query."""
     info, grid = _grid(part, layers)
     return Region(grid.layers, grid.origin, grid.cell_size, info)
 
 
 def read_tiles(parts: Sequence[Part], layers: Sequence[str]) -> list[Tile]:
-    """All replies to a tile query, ascending by key; raises MixedInstances or IncompleteAnswer unless they are one
-    answer, whole."""
+    """Return the tiles of all replies to a query, ascending by key; raises MixedInstances or IncompleteAnswer unless
+    they are one whole answer."""
     tiles = sorted((_tile(part, layers) for part in parts), key=lambda tile: tile.key)
     instances = {tile.info.instance for tile in tiles}
     if len(instances) > 1:
         raise MixedInstances(f"{len(instances)} services answered: {', '.join(sorted(instances))}")
     if len({tile.version for tile in tiles}) > 1:
-        raise IncompleteAnswer("the tiles are of different states of the map")
+        raise IncompleteAnswer("the tiles show different states of the map; ask again")
     if tiles and not tiles[0].info.answer_tiles == len(tiles) == len({tile.key for tile in tiles}):
-        raise IncompleteAnswer(f"{len(tiles)} of {tiles[0].info.answer_tiles} tiles came")
+        raise IncompleteAnswer(f"{len(tiles)} of {tiles[0].info.answer_tiles} tiles arrived; ask again")
     return tiles
 
 
 def read_update(sample: zenoh.Sample) -> Tile:
-    """A published tile."""
+    """Return the tile of an update."""
     attachment = sample.attachment
     part = Part(
         key=str(sample.key_expr),
@@ -67,14 +68,14 @@ def read_update(sample: zenoh.Sample) -> Tile:
 
 
 def read_cells(part: Part, layers: Sequence[str], number: int) -> Cells:
-    """The reply to a cells query about so many places."""
+    """Return the cells in the reply to a cells query about ``number`` places."""
     answer = read_model(part, CellAnswer)
     cells = answer.cells
     if len(cells) != number:
         raise UnreadableAnswer(f"{part.key}: expected {number} cells; found {len(cells)}")
     missing = [name for name in layers if any(name not in cell.layers for cell in cells)]
     if missing:
-        raise UnreadableAnswer(f"{part.key}: the layers {', '.join(missing)} are missing")
+        raise UnreadableAnswer(f"{part.key}: layers missing: {', '.join(missing)}")
     return Cells(
         i=np.array([cell.i for cell in cells], np.int64),
         j=np.array([cell.j for cell in cells], np.int64),
@@ -85,17 +86,17 @@ def read_cells(part: Part, layers: Sequence[str], number: int) -> Cells:
     )
 
 
-def read_model(part: Part, kind: type[M]) -> M:
-    """A reply in JSON."""
+def read_model(part: Part, kind: type[R]) -> R:
+    """Return a JSON reply as a ``kind``."""
     part.check_encoding(json_encoding(kind.__name__))
     try:
-        return parse_model(kind, part.payload)
+        return read_reply(kind, part.payload)
     except ContractError as error:
         raise UnreadableAnswer(f"{part.key}: {error}") from None
 
 
 def _floats(values: Sequence[float | None]) -> "np.ndarray[tuple[int, ...], np.dtype[np.float64]]":
-    """Null is NaN."""
+    """Return the values as an array, NaN for null."""
     return np.array([np.nan if value is None else value for value in values], np.float64)
 
 
@@ -110,13 +111,13 @@ def _tile(part: Part, layers: Sequence[str]) -> Tile:
 
 
 def _grid(part: Part, layers: Sequence[str], most: int = MAX_DATA) -> tuple[TileInfo, Grid]:
-    """Attachment and grid; ``layers`` empty: whichever it has."""
+    """Return attachment and grid. ``layers`` are the expected ones; empty accepts any."""
     part.check_encoding(encodings.GRID)
     try:
-        info = parse_model(TileInfo, part.attachment)
+        info = read_reply(TileInfo, part.attachment)
         grid = decode_grid(part.payload, info.compression, max_data=most)
     except ContractError as error:
         raise UnreadableAnswer(f"{part.key}: {error}") from None
     if layers and tuple(grid.layers) != tuple(layers):
-        raise UnreadableAnswer(f"{part.key}: expected the layers {', '.join(layers)}; found {', '.join(grid.layers)}")
+        raise UnreadableAnswer(f"{part.key}: expected layers {', '.join(layers)}; found {', '.join(grid.layers)}")
     return info, grid

@@ -1,4 +1,4 @@
-"""What the client hands on: numpy arrays, and what they are a state of."""
+"""What the client returns: numpy arrays, and the state of the map that they show."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -15,8 +15,8 @@ Plane = npt.NDArray[np.float32] | npt.NDArray[np.float64]
 class Version(NamedTuple):
     """A state of a map: ``sequence`` counts its changes, ``epoch`` its starts and resets.
 
-    Only versions of one epoch can be compared. ``instance`` is the process that told it ("": not known): a run begun
-    anew counts from 1 again, and must not be taken for the one before.
+    Only versions with the same epoch and instance are comparable. ``instance`` is the process that answered ("" if not
+    known); it tells a new run, which counts from 1 again, from the one before.
     """
 
     epoch: int
@@ -27,7 +27,7 @@ class Version(NamedTuple):
 class Layers(Mapping[str, Plane]):
     """Layers over a rectangle of cells, by name: (ny, nx), row 0 at the lowest y, column 0 at the lowest x.
 
-    NaN where a cell is not known; `count` and `weight` are 0 there.
+    Unknown cells are NaN, but 0 in `count` and `weight`.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class Layers(Mapping[str, Plane]):
         self.cell_size = cell_size
         """The side of a cell of this level, in metres."""
         self.info = info
-        """All that the service said of it: stamps, digest, configuration, the instance that answered."""
+        """The service's TileInfo: stamps, digest, configuration, the instance that answered."""
 
     def __getitem__(self, name: str) -> Plane:
         return self._layers[name]
@@ -65,27 +65,27 @@ class Layers(Mapping[str, Plane]):
 
     @property
     def version(self) -> Version:
-        """The state of the map that this shows."""
+        """The state of the map."""
         return Version(self.info.epoch, self.info.map_sequence, self.info.instance)
 
     @property
     def sequence(self) -> int:
-        """The map's sequence that this shows."""
+        """The map's sequence."""
         return self.info.map_sequence
 
     @property
     def epoch(self) -> int:
-        """The map's epoch that this is of."""
+        """The map's epoch."""
         return self.info.epoch
 
     @property
     def known_cells(self) -> int:
-        """How many of its cells are known; 0 for a tile that a reset emptied."""
+        """The number of known cells; 0 for a tile that a reset emptied."""
         return self.info.known_cells
 
 
 class Region(Layers):
-    """A mosaic over the box that was asked for."""
+    """Layers over the box of a query."""
 
     @property
     def level(self) -> int:
@@ -104,23 +104,22 @@ class Tile(Layers):
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """What changed since a version.
+    """The tiles that changed since a version.
 
-    With ``anew`` the tiles are all that there are, and what the caller holds of the map is to be forgotten: it was
-    restarted or reset, or nothing was held yet. Otherwise they replace those of the same key.
+    If ``complete``, the tiles are the whole map and the caller must forget what it holds: the service was restarted or
+    the map reset, or nothing was held yet. Otherwise they replace those with the same key.
     """
 
     version: Version
     tiles: list[Tile]
-    anew: bool
+    complete: bool
 
 
 @dataclass(frozen=True)
 class Cells(Mapping[str, npt.NDArray[np.float64]]):
-    """Single cells, in the order of the points asked for; layers by name, (N,) float64, NaN where not known.
+    """Single cells, in the order of the query's points; layers by name, (N,) float64, NaN if not known.
 
-    ``i``, ``j`` (N,) are the cells' numbers at level 0, ``states`` their records (None: never hit), ``known`` (N,) says
-    which were hit.
+    ``i``, ``j`` (N,) are the level-0 cells, ``states`` their records (None if unknown), ``known`` (N,) which are known.
     """
 
     i: npt.NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""The client's session, and one query with a time limit: everything that comes, and how it ended."""
+"""The client's Zenoh session, and one query with a time limit: its replies, its errors, and how it ended."""
 
 import json
 import threading
@@ -8,7 +8,8 @@ from pathlib import Path
 
 import zenoh
 
-from roughmap_client.access import endpoints_of, read_zenoh_file, told
+from roughmap_client.access import endpoints_of, read_zenoh_file, zenoh_message
+from roughmap_client.contract import read_reply
 from roughmap_client.errors import (
     BadArgument,
     IncompleteAnswer,
@@ -16,24 +17,24 @@ from roughmap_client.errors import (
     NoAnswer,
     QueryRefused,
     UnreadableAnswer,
-    in_short,
+    short_message,
 )
 from roughmap_schemas.config import without_secrets
 from roughmap_schemas.encodings import UNSAID
 from roughmap_schemas.faults import ConfigFault
-from roughmap_schemas.messages import QueryError
+from roughmap_schemas.messages import BadJson, QueryError
 
 ZENOH_TIMEOUT = b"Timeout"
-"""Zenoh's own word at the time limit. It comes from the session, without a replier, or from its router part, which does
-name one: whichever clock is first. A service's error is JSON."""
+"""Zenoh's own error at the time limit; a service's errors are JSON. It comes either from the session, without a replier
+id, or from the session's routing part, with one."""
 
 GRACE_S = 1.0
-"""How long past the time limit Zenoh may take to say that it is over."""
+"""How long past the time limit Zenoh may take to end a query."""
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One reply: its key, its bytes, its attachment, and the session entity that it came from."""
+    """One reply: key, payload, attachment, encoding, and the Zenoh entity that sent it."""
 
     key: str
     payload: bytes
@@ -42,41 +43,43 @@ class Part:
     replier: str
 
     def check_encoding(self, expected: str) -> None:
-        """Raises ``UnreadableAnswer`` unless the reply says that it is of this kind, or nothing."""
+        """Raise ``UnreadableAnswer`` unless the encoding is ``expected`` or unset."""
         if self.encoding not in UNSAID and self.encoding != expected:
-            raise UnreadableAnswer(f"expected an answer as {expected}; found {self.encoding[:200]!r} on {self.key}")
+            raise UnreadableAnswer(f"{self.key}: expected encoding {expected}; found {self.encoding[:200]!r}")
 
 
 @dataclass(slots=True)
 class Answer:
-    """All that came to one query, in the order of arrival."""
+    """All replies and errors to one query, in the order of arrival."""
 
     parts: list[Part] = field(default_factory=list)
     errors: list[tuple[bytes, str]] = field(default_factory=list)
     timed_out: bool = False
 
     def whole(self) -> list[Part]:
-        """The parts; raises ``QueryRefused`` if an error came, ``IncompleteAnswer`` or ``NoAnswer`` if time ran out.
+        """Return the replies; raises ``QueryRefused`` for an error, ``IncompleteAnswer`` or ``NoAnswer`` at a time-out.
 
-        No part and no error is an empty list: nothing that was asked for is there, or nobody is.
+        An empty list means that nothing matches, or that no service is reachable.
         """
         for payload, encoding in self.errors:
             try:
-                fault = QueryError.model_validate_json(payload)
-            except ValueError:
-                raise UnreadableAnswer(f"an error of the encoding {encoding!r}: {payload[:200]!r}") from None
-            raise QueryRefused(str(fault.code), fault.message)
+                error = read_reply(QueryError, payload)
+            except BadJson:
+                raise UnreadableAnswer(
+                    f"expected a QueryError; found {payload[:200]!r}, encoding {encoding!r}"
+                ) from None
+            raise QueryRefused(error.code, error.message)
         if self.timed_out and self.parts:
-            raise IncompleteAnswer(f"the time limit came after {len(self.parts)} replies")
+            raise IncompleteAnswer(f"timed out after {len(self.parts)} replies")
         if self.timed_out:
             raise NoAnswer("no reply came within the time limit")
         return self.parts
 
     def single(self) -> Part:
-        """The one reply that there must be; also raises ``MixedInstances`` for several and ``NoAnswer`` for none."""
+        """Return the only reply; also raises ``MixedInstances`` for several and ``NoAnswer`` for none."""
         parts = self.whole()
         if not parts:
-            raise NoAnswer("nobody answers on these keys")
+            raise NoAnswer("no service answers on these keys")
         if len(parts) > 1:
             raise MixedInstances(f"{len(parts)} services answered on {parts[0].key}")
         return parts[0]
@@ -91,11 +94,11 @@ def ask(
     encoding: str | None = None,
     single: bool = False,
 ) -> Answer:
-    """Ask, and wait at most ``timeout`` seconds for the last reply; of a ``single`` answer, for a second one, which
-    makes both useless.
+    """Send a query and wait at most ``timeout`` seconds for its last reply.
 
-    Consolidation is NONE: replies come as they are sent. The callback only copies and appends, so Zenoh's queue between
-    network and callback stays short however many tiles come. Raises NoAnswer if the session is closed.
+    A ``single`` answer also ends at a second reply, which makes both useless. Consolidation is NONE, so replies come as
+    they are sent. The callback only copies and appends, so that Zenoh's queue before it stays short however many tiles
+    come. Raises NoAnswer if the session is closed.
     """
     answer = Answer()
     ended = threading.Event()
@@ -137,7 +140,7 @@ def ask(
             encoding=encoding,
         )
     except zenoh.ZError as error:
-        raise NoAnswer(f"{selector[:200]} could not be asked: {in_short(error)}") from None
+        raise NoAnswer(f"query {selector[:200]} failed: {short_message(error)}") from None
     if not ended.wait(timeout + GRACE_S):
         with lock:
             ended.set()
@@ -148,9 +151,10 @@ def ask(
 def open_session(
     connect: Sequence[str], timeout: float, config: zenoh.Config | str | Path | None = None
 ) -> zenoh.Session:
-    """A client session to the first endpoint that answers; it connects again by itself when that one comes back.
+    """Open a client session to the first endpoint that answers; it reconnects by itself.
 
-    ``config`` is a Zenoh configuration or its file, into which the rest is put. BadArgument for a file that is none.
+    ``config`` is a Zenoh configuration, or a file with one, to which the rest is added. Raises BadArgument for an
+    invalid file, NoAnswer if no connection comes about.
     """
     try:
         chosen = read_zenoh_file(config, "config") if isinstance(config, str | Path) else config or zenoh.Config()
@@ -167,5 +171,5 @@ def open_session(
         where = ", ".join(map(without_secrets, endpoints_of(chosen, "connect")))
         raise NoAnswer(
             f"no connection to {where or 'any router or service found by scouting'} within {timeout:g} s "
-            f"({told(error, chosen)})"
+            f"({zenoh_message(error, chosen)})"
         ) from None

@@ -1,4 +1,4 @@
-"""Tiles as they change, handed to a callback one by one."""
+"""Calls back with tiles as they change."""
 
 import logging
 import threading
@@ -8,20 +8,20 @@ from typing import Self
 
 import zenoh
 
-from roughmap_client.errors import NoAnswer, RoughMapError, in_short
+from roughmap_client.errors import NoAnswer, RoughMapError, short_message
 from roughmap_client.results import Tile
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 END_S = 5.0
-"""How long the end of a watch waits for the callback that runs."""
+"""How long `Watch.close` waits for a running callback."""
 
 
 class Watch:
     """A subscription and the thread that calls back; close it, or use it as a context manager.
 
-    What waits is one sample a tile, so that a slow callback sees fewer states, each the newest, and memory is bounded
-    by the map's tiles and not by time.
+    At most one update per tile waits, the newest. So a slow callback sees fewer states, and memory is bounded by the
+    number of tiles.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class Watch:
         try:
             self._subscriber = session.declare_subscriber(key, zenoh.handlers.Callback(self._take, indirect=False))
         except zenoh.ZError as error:
-            raise NoAnswer(f"{key} can't be watched: {in_short(error)}") from None
+            raise NoAnswer(f"can't watch {key}: {short_message(error)}") from None
         self._thread.start()
 
     def close(self) -> None:
@@ -81,16 +81,16 @@ class Watch:
                     return
                 sample = self._waiting.pop(next(iter(self._waiting)))
             try:
-                self._hand_on(sample)
-            except Exception:  # of the caller's own function: the updates after it come all the same
-                log.exception("the callback failed on an update of %s", sample.key_expr)
+                self._call_back(sample)
+            except Exception:  # raised by the caller's function; later updates must still come
+                logger.exception("the callback failed on an update of %s", sample.key_expr)
 
-    def _hand_on(self, sample: zenoh.Sample) -> None:
+    def _call_back(self, sample: zenoh.Sample) -> None:
         try:
             tile = self._read(sample)
         except RoughMapError as error:
             if self._on_error is None:
-                log.warning("an update can't be read: %s", error)
+                logger.warning("unreadable update: %s", error)
             else:
                 self._on_error(error)
         else:

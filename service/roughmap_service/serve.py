@@ -1,4 +1,4 @@
-"""The service: everything wired together, from the recovered map to the last fsync."""
+"""The service: wiring only. Parts start in the order in which they need each other and end the other way round."""
 
 import logging
 import threading
@@ -8,22 +8,25 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import zenoh
 
-from roughmap_schemas import Config, Keys, QueryRecord, RunMetadata, configuration_digest, model_bytes
+from roughmap_schemas import Config, Keys, configuration_digest
 from roughmap_schemas.config_load import LoadedConfig
-from roughmap_schemas.encodings import json_encoding
-from roughmap_schemas.kinds import Kind
+from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.messages import LogState
+from roughmap_service.answers.events import EventPublisher
 from roughmap_service.answers.queryables import Answers
+from roughmap_service.answers.records import OutputRecords
 from roughmap_service.answers.reset_history import ResetHistory
 from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.answers.updates import Updates
 from roughmap_service.engine.control import Control
+from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.recovery import Progress as RecoveryProgress
-from roughmap_service.engine.recovery import Recovered, Stopped, begin_anew, put_away, recover
+from roughmap_service.engine.recovery import Recovered, Stopped, begin_anew, recover, set_aside_damaged
 from roughmap_service.engine.sequencer import Intervals, Sequencer
 from roughmap_service.engine.warmup import warm_up
 from roughmap_service.host.counters import Counters
@@ -31,41 +34,38 @@ from roughmap_service.host.ending import Ending
 from roughmap_service.host.locks import locked
 from roughmap_service.host.log_lines import note
 from roughmap_service.http.server import HttpServer
-from roughmap_service.inputs.queue import Intake
-from roughmap_service.inputs.receipts import Replies
-from roughmap_service.inputs.session import (
-    bound_messages,
-    check_exposure,
-    claim,
-    endpoints,
-    open_session,
-    zenoh_config,
-)
+from roughmap_service.inputs.queue import InputQueue
+from roughmap_service.inputs.receipts import ReceiptSender
+from roughmap_service.inputs.session import bound_messages, check_exposure, claim, endpoints, open_session, zenoh_config
 from roughmap_service.inputs.subscriptions import ZenohInputs
-from roughmap_service.journal.file import LogRecord
+from roughmap_service.journal.recorder import Recorder
 from roughmap_service.journal.writer import LogWriter
+from roughmap_service.run.metadata import file_metadata
 from roughmap_service.run.view import View
 from roughmap_service.store.map_db import Store
-from roughmap_service.store.memory_limit import Memory, keep_freed
+from roughmap_service.store.memory_limit import MemoryLimit, keep_freed
 from roughmap_service.store.snapshots import Snapshots, cut_of
 from roughmap_service.store.spill import Spill
 from roughmap_service.watch.parts import RunningParts, connect_pages
 from roughmap_service.watch.readiness import Readiness, Sources
 from roughmap_service.watch.status import RunProgress, Status, StatusPublisher
 
-log = logging.getLogger(__name__)
-
-VERSION = version("roughmap")
+logger = logging.getLogger(__name__)
 
 SPILL_NAME = "tiles.spill"
-"""The spill file in the log's directory, if no other is named."""
+"""The spill file in the log's directory, if map.spill_path names no other."""
+
+LOOK_SECONDS = 0.5
+"""How often the main thread looks whether a part has failed or hangs."""
 
 
-class ServeError(Exception):
-    """The service can't start; one line that names the cause and the mend."""
+class ServeError(ReportedError):
+    """The service can't start; one line that names cause and remedy."""
+
+    exit_code = 2
 
 
-class ServiceFailed(Exception):
+class ServiceFailed(ReportedError):
     """The service can't go on; one line that names the cause."""
 
 
@@ -78,12 +78,10 @@ def serve(
     insecure: bool = False,
     progress: RecoveryProgress | None = None,
 ) -> None:
-    """Keep one map until ``stop`` is set; ``announce`` is called once, when it is ready.
+    """Serve one map until ``stop`` is set; ``announce`` is called once, when the service is ready.
 
-    ``insecure`` allows a session that whoever is on the network can join.
-
-    Raises what stands in the way of a start (ServeError, TransportError, LogError, StoreError, IdentityError, ...),
-    each in one line.
+    ``insecure`` allows a session that anyone on the network can join. Raises ServeError, TransportError, LogError,
+    StoreError, IdentityError, ... if the service can't start, ServiceFailed if it can't go on; each is one line.
     """
     config = loaded.config
     keys = Keys(config.map.name, config.keys)
@@ -99,225 +97,216 @@ def serve(
         session = stack.enter_context(open_session(session_config))
         instance = uuid.uuid4().hex
         token, others = claim(session, keys, instance, config.service.alive_wait, stop)
-        stack.callback(token.undeclare)  # last of all: whoever waits for it may then open the log
+        stack.callback(token.undeclare)  # last of all: who waits for it may open the log as soon as it is gone
         if others and not stop.is_set():
             raise ServeError(f"map {config.map.name!r} is served already, by {', '.join(others)}; stop that one first")
         keep_freed(config.map.memory_limit)
         warm_up(config, stop)  # before memory is measured, and before the first tile
         path = Path(config.map.spill_path) if config.map.spill_path else directory / SPILL_NAME
-        memory = Memory(config.map.memory_limit, stack.enter_context(Spill(path, config.map.spill_limit)))
+        memory = MemoryLimit(config.map.memory_limit, stack.enter_context(Spill(path, config.map.spill_limit)))
         try:
-            recovered = _recovered(config, directory, store, fresh, progress, stop, memory)
+            recovered = _recover(config, directory, store, fresh, progress, stop, memory)
         except Stopped:
-            log.info("ended before it was ready")
+            logger.info("stopped before it was ready")
             return
-        sequence, epoch = recovered.state.map.sequence, recovered.epoch
-        undecided = len(recovered.undecided)
-        text = f"the map is back at sequence {sequence}, epoch {epoch}; {undecided} clouds are undecided"
-        if recovered.run is None:
-            text = f"a new map, {config.map.name!r}"
-        note(log, logging.INFO, "map_recovered", text, sequence=sequence, epoch=epoch, run=recovered.run)
-        if not stop.is_set():
-            try:
-                _run(loaded, keys, session, instance, directory, store, recovered, memory, stop, announce, sources)
-            finally:
-                if memory.spill.store_damaged and store is not None:
-                    put_away(store, directory, memory.spill.failure)
+        if stop.is_set():
+            return
+        try:
+            with Service(loaded, session, instance, recovered, store, memory, sources) as service:
+                announce(
+                    {
+                        "ready": True, "map": config.map.name, "instance": instance,
+                        "endpoints": endpoints(session), "http": sources.url,
+                    }
+                )  # fmt: skip
+                service.run_until(stop)
+            service.check_kept()
+        finally:
+            if memory.spill.store_damaged and store is not None:
+                set_aside_damaged(store, directory, memory.spill.failure)
 
 
-def _run(
-    loaded: LoadedConfig,
-    keys: Keys,
-    session: zenoh.Session,
-    instance: str,
-    directory: Path,
-    store: Store | None,
-    recovered: Recovered,
-    memory: Memory,
-    stop: threading.Event,
-    announce: Callable[[dict[str, Any]], None],
-    sources: Sources,
-) -> None:
-    """Start the parts in the order in which they need each other, and end them the other way round."""
-    config = loaded.config
-    state, run = recovered.state, recovered.run or uuid.uuid4().hex
-    state.epoch = recovered.epoch
-    served = ServedMap(config.map.name, run, instance, configuration_digest(config), config.map.frame_id)
-    counters = Counters(config.input.max_wait)
-    view, resets = View(state.map, recovered.epoch), ResetHistory(config.map.max_tiles)
-    ending, whole, ended = Ending(config.service.shutdown_timeout), True, True
-    with ExitStack() as stack:
-        replies = Replies()
-        stack.callback(lambda: replies.close(ending.left()))
-        writer = _writer(config, directory, _metadata(config, run, recovered), recovered.last_ns, counters)
+class Service:
+    """A recovered map that is served: messages come in, readers are answered, the log is written. A context manager."""
 
-        @stack.callback
-        def close_log() -> None:
-            nonlocal whole
-            whole = writer.close(ending.left(0.9))
+    def __init__(
+        self,
+        loaded: LoadedConfig,
+        session: zenoh.Session,
+        instance: str,
+        recovered: Recovered,
+        store: Store | None,
+        memory: MemoryLimit,
+        sources: Sources,
+    ) -> None:
+        self._config = config = loaded.config
+        self._session = session
+        self._recovered = recovered
+        self._store = store
+        self._memory = memory
+        self._sources = sources
+        self._keys = Keys(config.map.name, config.keys)
+        self._run_id = recovered.run_id or uuid.uuid4().hex
+        self._served = ServedMap(
+            config.map.name, self._run_id, instance, configuration_digest(config), config.map.frame_id
+        )
+        self._run = recovered.run
+        self._run.epoch = recovered.epoch
+        self._view = View(self._run.map, recovered.epoch)
+        self._counters = Counters(config.input.max_wait)
+        self._ending = Ending(config.service.shutdown_timeout)
+        self._stack = ExitStack()
+        self._log_is_whole = self._sequencer_ended = True
 
-        stored = None if recovered.was_reset else recovered.cut
-        snapshots = Snapshots(store, view, writer, stored, keep=config.log.keep, spill=memory.spill)
-        intake = Intake(config.input.queue_limit, counters, config.input.pose_queue)
-        events = session.declare_publisher(
-            keys.events, encoding=json_encoding("Event"), congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.DATA_HIGH,
-        )  # fmt: skip
-        # DROP: events are in the log, and a reader that stalls must not hold up the sequencer. A priority of their own:
-        # who waits for room in a link's queue of one priority, as updates and replies do, has all others wait.
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:  # what has started ends if a later part can't start
+            self._open_log(stack)
+            self._start_sequencer(stack)
+            self._start_answers(stack)
+            self._let_messages_in(stack)
+            self._show(stack)
+            stack.callback(self._ending.begin)
+            self._stack = stack.pop_all()
+        return self
 
-        def publish(event: bytes) -> None:
-            try:
-                events.put(event)
-            except zenoh.ZError as error:
-                log.warning("an event could not be published: %s", error)
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
 
-        def cut() -> None:
-            snapshots.offer(lambda: cut_of(run, config, state, sequencer.inbox, recovered.duplicates))
+    def run_until(self, stop: threading.Event) -> None:
+        """Look after the parts until ``stop`` is set. ServiceFailed if one can't go on."""
+        while not stop.wait(LOOK_SECONDS):
+            self._parts.watch()
+            if not self._sequencer.alive:
+                raise ServiceFailed(f"the sequencer failed: {self._sequencer.failure}")
+            if self._memory.spill.failure:  # a map that has lost a part must not be served
+                raise ServiceFailed(self._memory.spill.failure)
+        self._queue.close()
 
-        sequencer = Sequencer(
-            state, view, writer, intake, counters, memory, recovered.duplicates, keys,
-            Intervals(config.log.checkpoint_interval, config.store.snapshot_interval),
-            publish_event=publish, take_snapshot=cut, before_reset=resets.note,
-        )  # fmt: skip
-        control = Control(sequencer, snapshots, cut, config.service.control_timeout)
+    def check_kept(self) -> None:
+        """ServiceFailed if the end lost anything; call it after the service has ended."""
+        if not self._log_is_whole:
+            raise ServiceFailed(f"the end of the log is lost: {self._writer.error or 'the disk was not fast enough'}")
+        if self._memory.spill.failure:
+            raise ServiceFailed(self._memory.spill.failure)
+        failure = self._sequencer.failure
+        if failure or not self._sequencer_ended:
+            why = f"failed: {failure!r}" if failure else "did not end in time"
+            left = f"{len(self._run.clouds)} logged clouds are undecided, and the next start decides them"
+            raise ServiceFailed(f"the sequencer {why}; {left}; messages that were not logged yet are lost")
+        self._ending.kept()
 
-        parts = RunningParts(sequencer, writer, intake, snapshots, memory, counters)
+    def _open_log(self, stack: ExitStack) -> None:
+        self._receipts = ReceiptSender()
+        stack.callback(lambda: self._receipts.close(self._ending.left()))
+        config, recovered = self._config, self._recovered
+        created_ns = max(time.time_ns(), recovered.not_before_ns)
+        self._writer = LogWriter(
+            Path(config.log.directory),
+            file_metadata(
+                self._run_id, self._run, config, epoch=recovered.epoch, index=recovered.index, created_ns=created_ns
+            ),
+            compression=config.log.compression,
+            flush_interval=config.log.flush_interval,
+            queue_limit=config.log.queue_limit,
+            max_file_bytes=config.log.max_file_bytes,
+            max_file_age=config.log.max_file_age,
+            last_ns=recovered.last_ns,
+            synced=self._counters.log_synced,
+        )
+        stack.callback(self._close_log)
 
-        def progress() -> RunProgress:
-            return RunProgress(
-                durable_sequence=writer.durable_sequence,
-                input=state.input,
-                newest_stamp_ns=sequencer.decider.newest_stamp_ns,
-                waiting=len(state.clouds),
-                problems=parts.problems(),
-                log=LogState(file=str(writer.path), bytes=writer.size, ok=writer.ok),
-            )
+    def _close_log(self) -> None:
+        self._log_is_whole = self._writer.close(self._ending.left(0.9))
 
-        status = Status(view, counters, config, served, VERSION, progress)
-        record = _Outputs(writer, keys, counters, queries=config.log.queries)
-        sequencer.start(recovered.undecided)
+    def _start_sequencer(self, stack: ExitStack) -> None:
+        config, writer = self._config, self._writer
+        stored = None if self._recovered.was_reset else self._recovered.cut
+        self._snapshots = Snapshots(
+            self._store, self._view, writer, stored, keep=config.log.keep, spill=self._memory.spill
+        )
+        self._queue = InputQueue(config.input.queue_limit, self._counters)
+        self._resets = ResetHistory(config.map.max_tiles)
+        events = stack.enter_context(EventPublisher(self._session, self._keys))
+        recorder = Recorder(writer, self._keys)
+        live = LiveRun(self._run, self._view, writer, recorder, self._counters, self._memory, events.publish)
+        intervals = Intervals(config.log.checkpoint_interval, config.store.snapshot_interval)
+        self._sequencer = Sequencer(
+            live, self._queue, writer, self._memory, intervals, self._take_snapshot, self._resets.note
+        )
+        self._sequencer.start()
+        stack.callback(self._end_sequencer)
 
-        @stack.callback
-        def end_sequencer() -> None:
-            nonlocal ended
-            ended = _end(sequencer, view, snapshots, cut, ending)
+    def _take_snapshot(self) -> None:
+        self._snapshots.offer(lambda: cut_of(self._run_id, self._config, self._run))
 
-        answers = stack.enter_context(
+    def _end_sequencer(self) -> None:
+        """Place what can be placed, checkpoint, snapshot. The log's footer comes after this and needs time too."""
+        ending, snapshots = self._ending, self._snapshots
+        self._sequencer_ended = self._sequencer.stop(ending.left(0.5))
+        self._view.wake()
+        if self._sequencer_ended and snapshots.enabled and self._sequencer.failure is None and self._writer.ok:
+            snapshots.wait(ending.left(0.3))
+            self._take_snapshot()
+            snapshots.wait(ending.left(0.5))
+
+    def _start_answers(self, stack: ExitStack) -> None:
+        config, view, keys, served = self._config, self._view, self._keys, self._served
+        self._parts = RunningParts(
+            self._sequencer, self._writer, self._queue, self._snapshots, self._memory, self._counters
+        )
+        self._status = Status(view, self._counters, config, served, version("roughmap"), self._progress)
+        control = Control(self._sequencer, self._snapshots, self._take_snapshot)
+        records = OutputRecords(self._writer, keys, self._counters, queries=config.log.queries)
+        self._answers = stack.enter_context(
             Answers(
-                session, view, keys, config, served, status=status,
-                control={"snapshot": control.snapshot, "reset": control.reset}, record_query=record.query,
-                resets=resets,
+                self._session, view, keys, config, served, status=self._status,
+                control={"snapshot": control.snapshot, "reset": control.reset}, record_query=records.query,
+                resets=self._resets,
             )
         )  # fmt: skip
-        stack.enter_context(Updates(session, view, keys, config, served, record.update, resets))
-        stack.enter_context(StatusPublisher(session, keys, status))
-        stack.callback(intake.close)  # after the subscribers are gone; refuses what still comes
-        stack.enter_context(ZenohInputs(session, keys, intake, replies, config.input.max_message, counters))
-        connect_pages(parts, answers, sources, status, config)
-        stack.callback(parts.end, sources)
-        announce(
-            {
-                "ready": True, "map": config.map.name, "instance": instance, "endpoints": endpoints(session),
-                "http": sources.url,
-            }
-        )  # fmt: skip
-        stack.callback(ending.begin)  # first of all, however it comes to its end
-        while not stop.wait(0.5):
-            parts.watch()
-            if not sequencer.alive:
-                raise ServiceFailed(f"the sequencer failed: {sequencer.failure}")
-            if memory.spill.failure:  # a map of which a part is lost must not be served on
-                raise ServiceFailed(memory.spill.failure)
-        intake.close()
-    if not whole:
-        raise ServiceFailed(f"the end of the log is lost: {writer.error or 'the disk did not take it in time'}")
-    if memory.spill.failure:
-        raise ServiceFailed(memory.spill.failure)
-    if sequencer.failure or not ended:
-        why = f"failed: {sequencer.failure!r}" if sequencer.failure else "did not end in time"
-        left = f"{len(state.clouds)} clouds in the log are undecided, and the next start decides them"
-        raise ServiceFailed(f"the sequencer {why}; {left}; what had come and was not logged yet is lost")
-    ending.kept()
+        stack.enter_context(Updates(self._session, view, keys, config, served, records.update, self._resets))
+        stack.enter_context(StatusPublisher(self._session, keys, self._status))
+
+    def _progress(self) -> RunProgress:
+        return RunProgress(
+            durable_sequence=self._writer.durable_sequence,
+            input=self._run.input,
+            newest_stamp_ns=self._run.newest_stamp_ns,
+            waiting=len(self._run.clouds),
+            problems=self._parts.problems(),
+            log=LogState(file=str(self._writer.path), bytes=self._writer.size, ok=self._writer.ok),
+        )
+
+    def _let_messages_in(self, stack: ExitStack) -> None:
+        stack.callback(self._queue.close)  # after the subscribers are gone; refuses what still comes
+        limit = self._config.input.max_message
+        stack.enter_context(ZenohInputs(self._session, self._keys, self._queue, self._receipts, limit, self._counters))
+
+    def _show(self, stack: ExitStack) -> None:
+        connect_pages(self._parts, self._answers, self._sources, self._status, self._config)
+        stack.callback(self._parts.end, self._sources)
 
 
-def _end(sequencer: Sequencer, view: View, snapshots: Snapshots, cut: Callable[[], None], ending: Ending) -> bool:
-    """Place what can be placed, checkpoint, snapshot; the log's footer comes after this, and needs time too. False if
-    the sequencer did not end in time."""
-    ended = sequencer.stop(ending.left(0.5))
-    view.wake()
-    if ended and snapshots.enabled and sequencer.failure is None and sequencer.log_ok:
-        snapshots.close(ending.left(0.3))
-        cut()
-        snapshots.close(ending.left(0.5))
-    return ended
-
-
-def _recovered(
+def _recover(
     config: Config,
     directory: Path,
     store: Store | None,
     fresh: bool,
     progress: RecoveryProgress | None,
     stop: threading.Event,
-    memory: Memory,
+    memory: MemoryLimit,
 ) -> Recovered:
-    if not fresh:
-        return recover(config, directory, store, progress, stop, memory)
-    if store is not None and store.exists():
-        log.warning("a new run; the old store is %s", store.set_aside())
-    return begin_anew(config, directory, memory)
-
-
-def _metadata(config: Config, run: str, recovered: Recovered) -> RunMetadata:
-    state = recovered.state
-    return RunMetadata(
-        run=run,
-        created_ns=max(time.time_ns(), recovered.not_before_ns),
-        epoch=recovered.epoch,
-        index=recovered.index,
-        first_input=state.input + 1,
-        first_record=state.record + 1,
-        base_sequence=state.map.sequence,
-        base_digest=state.map.digest(),
-        version=VERSION,
-        configuration=config.public_dict(),
-    )
-
-
-def _writer(config: Config, directory: Path, metadata: RunMetadata, last_ns: int, counters: Counters) -> LogWriter:
-    return LogWriter(
-        directory,
-        metadata,
-        compression=config.log.compression,
-        flush_interval=config.log.flush_interval,
-        queue_limit=config.log.queue_limit,
-        max_file_bytes=config.log.max_file_bytes,
-        max_file_age=config.log.max_file_age,
-        last_ns=last_ns,
-        synced=counters.log_synced,
-    )
-
-
-class _Outputs:
-    """What the log keeps of answers and updates: no part of the run, dropped and counted where there is no room."""
-
-    def __init__(self, writer: LogWriter, keys: Keys, counters: Counters, *, queries: bool) -> None:
-        self._writer = writer
-        self._keys = keys
-        self._counters = counters
-        self._queries = queries
-
-    def query(self, record: QueryRecord) -> None:
-        """One answered query."""
-        self._counters.query(record.outcome, record.duration_ns / 1e9)
-        if self._queries:
-            self._put(Kind.QUERIES, self._keys.queries, model_bytes(record), time.time_ns())
-
-    def update(self, kind: str, payload: bytes, stamp_ns: int) -> None:
-        """One published tile."""
-        self._put(Kind.GRIDS if kind == "grids" else Kind.UPDATES, self._keys.updates_topic, payload, stamp_ns)
-
-    def _put(self, kind: Kind, topic: str, payload: bytes, stamp_ns: int) -> None:
-        if not self._writer.put_output(LogRecord(kind, topic, payload, time.time_ns(), stamp_ns)):
-            self._counters.output_dropped("queries" if kind is Kind.QUERIES else "updates")
+    if fresh:
+        if store is not None and store.exists():
+            logger.warning("a new run; the old store is %s", store.set_aside())
+        recovered = begin_anew(config, directory, memory)
+    else:
+        recovered = recover(config, directory, store, progress, stop, memory)
+    run, epoch = recovered.run, recovered.epoch
+    text = f"recovered the map at sequence {run.map.sequence}, epoch {epoch}; {len(run.clouds)} clouds are undecided"
+    if recovered.run_id is None:
+        text = f"new map {config.map.name!r}"
+    note(logger, logging.INFO, "map_recovered", text, sequence=run.map.sequence, epoch=epoch, run=recovered.run_id)
+    return recovered

@@ -31,7 +31,7 @@ class Replies:
         """The code of the one error reply that is all of the answer."""
         assert self.ok == []
         (error,) = self.errors
-        assert set(error) == {"code", "message"}
+        assert set(error) == {"contract", "code", "message"}
         assert error["message"]
         return error["code"]
 

@@ -93,7 +93,7 @@ def test_cells_say_what_the_map_keeps(served: Served) -> None:
     places = [*rng.uniform(-9, 9, (400, 2)).tolist(), [0.05, 0.05], [0.05, 0.05], [1e6, -1e6]]
     asked = "maps/site/cells?layers=mean_height,confidence_factor"
     answer = get(served.asker, asked, json.dumps(places).encode()).json()
-    assert set(answer) == {"map", "instance", "epoch", "sequence", "cells"}
+    assert set(answer) == {"contract", "map", "instance", "epoch", "sequence", "cells"}
     assert (answer["map"], answer["sequence"]) == ("site", served.map.sequence)
     assert [(cell["x"], cell["y"]) for cell in answer["cells"]] == [tuple(place) for place in places]
     known = 0
@@ -168,7 +168,8 @@ def test_status_has_every_member(served: Served) -> None:
     status = found.json()
     assert str(found.ok[0].encoding) == "application/json;roughmap.MapStatus"
     assert set(status) == {
-        "map", "run", "instance", "epoch", "version", "frame_id", "cell_size", "tile_cells", "levels", "layers",
+        "contract", "map", "run", "instance", "epoch", "version", "frame_id", "cell_size", "tile_cells", "levels",
+        "layers",
         "bounds", "extent", "error_model", "configuration_digest", "health", "sequence", "durable_sequence", "input",
         "newest_stamp_ns", "clouds", "points", "poses", "refused", "gaps", "jumps", "lag_s", "rates", "memory_bytes",
         "tiles", "log", "uptime_s",
@@ -185,7 +186,7 @@ def test_control_is_asked_by_its_own_key_alone(served: Served) -> None:
     assert get(served.asker, "maps/site/control/nothing") == get(served.asker, "maps/other/control/reset")
     before = served.map.sequence
     answer = get(served.asker, "maps/site/control/reset").json()
-    assert answer == {"sequence": before + 1, "epoch": 6}
+    assert answer == {"contract": "1.0", "sequence": before + 1, "epoch": 6}
     (sample,) = get(served.asker, "maps/site/region?bbox=0,0,1,1").ok
     assert isinstance(sample, zenoh.Sample)
     assert RawTile(sample).info["epoch"] == 6

@@ -78,7 +78,7 @@ def test_what_a_tile_says_of_itself(served: Served) -> None:
         with served.map.freeze(z) as frozen:
             oldest, newest = frozen.stamps(x, y)
             expected = {
-                "map": "site", "instance": INSTANCE, "epoch": 5, "z": z, "x": x, "y": y,
+                "contract": "1.0", "map": "site", "instance": INSTANCE, "epoch": 5, "z": z, "x": x, "y": y,
                 "sequence": sequences[z, x, y], "map_sequence": 5, "answer_tiles": len(everything),
                 "oldest_ns": oldest, "newest_ns": newest, "known_cells": frozen.known_cells(x, y),
                 "digest": frozen.digest(x, y), "configuration_digest": served.digest, "compression": None,

@@ -132,11 +132,13 @@ def test_a_reader_that_waits_comes_before_the_next_change(view: View) -> None:
         wait_for(waiting.done, "the reader to end")
 
 
-def test_what_is_let_go_during_a_change_is_closed_by_the_next_who_takes_the_map(view: View) -> None:
+@pytest.mark.parametrize("use", ["change", "reading"])
+def test_what_is_let_go_while_the_map_is_in_use_is_closed_at_the_end_of_that_use(view: View, use: str) -> None:
+    """The reader does not wait, and nobody has to take the map once more for its tiles to be free."""
     frozen = view.map.freeze(0)
-    with view.change():
+    with getattr(view, use)():
         beside = Beside(lambda: view.let_go(frozen))
         wait_for(beside.done, "a reader to let go, which must not wait")
         assert frozen.records(0, 0)["count"].any()
-    with view.reading(), pytest.raises(ValueError, match="closed"):
+    with pytest.raises(ValueError, match="closed"):
         frozen.records(0, 0)

@@ -20,7 +20,7 @@ import numpy as np
 from scans import CELL_SIZE, NOISE, SCANS, Drive, Recording, recorded, still
 
 from roughmap import RoughMap
-from roughmap_service.store.memory_limit import Memory, memory_bytes
+from roughmap_service.store.memory_limit import MemoryLimit, memory_bytes
 from roughmap_service.store.spill import Spill
 
 LAP_M = 9.0
@@ -121,7 +121,7 @@ def spilling(folder: Path, recording: Recording, number: int, rounds: int) -> di
         with Spill(folder / "tiles.spill", 1 << 40, write=written.write) as spill:
             held = RoughMap(CELL_SIZE, threads=1, shelf=spill)
             beside = plain
-            memory = Memory(limit, spill, measure=lambda beside=beside: memory_bytes() - beside.bytes)
+            memory = MemoryLimit(limit, spill, measure=lambda beside=beside: memory_bytes() - beside.bytes)
             seconds = np.zeros(2)
             for drive in drives:
                 seconds[0] += plain.lap(drive)

@@ -14,12 +14,12 @@ from serving import MAP, Sender, drive, fill, open_session, served
 
 from roughmap.reading.terrain import derive
 
-LAYERS = "layers=mean_height,range"
+TWO_LAYERS = "layers=mean_height,range"
 SITES = [(x, y) for x, y in product((-52.0, -26.0, 0.0, 26.0, 52.0), repeat=2)]
 """Beyond 20 m rings lie far apart: from these every tile of the 400 is seen."""
 
-REGION = f"maps/{MAP}/region?bbox=-64,-64,64,64;{LAYERS}"
-TILES = f"maps/{MAP}/tiles/0/*/*?bbox=-64,-64,64,64;{LAYERS}"
+REGION = f"maps/{MAP}/region?bbox=-64,-64,64,64;{TWO_LAYERS}"
+TILES = f"maps/{MAP}/tiles/0/*/*?bbox=-64,-64,64,64;{TWO_LAYERS}"
 NEAR = list(product(range(-2, 2), repeat=2))
 """Tiles asked for one by one: the drive passes over them all the time."""
 
@@ -40,7 +40,7 @@ def rows(bench: Bench) -> list[Row]:
         drive(session, sender, 0, 5, pose_hz=50.0, phase=0.0)
         turns = []
         for x, y in NEAR:
-            selector = f"maps/{MAP}/tiles/0/{x}/{y}?{LAYERS}"
+            selector = f"maps/{MAP}/tiles/0/{x}/{y}?{TWO_LAYERS}"
             _, size, _ = timed_get(session, selector)
             turns += [("service", selector), ("echo", f"echo?size={size};replies=1")]
 

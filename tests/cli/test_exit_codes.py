@@ -1,47 +1,93 @@
-"""The one table from errors to exit codes: each error that it names is there, and ends in its code and one line."""
+"""Every error with a known cause ends a command with one line and the exit code of its class."""
 
 import importlib
+import pkgutil
 
 import click
 import pytest
+import zenoh
 
+import roughmap_client
+import roughmap_schemas
+import roughmap_service
+from roughmap_schemas.faults import ConfigFault, ReportedError
 from roughmap_service.cli import main
 
 CODES = {
-    "LogError": 2,
-    "TornLog": 2,
-    "StoreError": 2,
-    "OtherStateVersion": 2,
-    "IdentityError": 2,
-    "ReplayError": 2,
+    "BadArgument": 1,
+    "BadJson": 1,
     "CloudFileFault": 2,
-    "RunError": 1,
-    "TransportError": 1,
+    "ConfigFault": 2,
+    "ContractError": 1,
+    "DamagedLog": 2,
+    "DamagedStore": 2,
+    "Fault": 1,
     "HttpError": 2,
+    "IdentityError": 2,
+    "IncompleteAnswer": 1,
+    "LockError": 2,
+    "LogError": 2,
+    "MessageFault": 1,
+    "MixedInstances": 1,
+    "NoAnswer": 1,
+    "NobodyListens": 1,
+    "OtherStateVersion": 2,
     "PortTaken": 1,
+    "QueryFault": 2,
+    "QueryRefused": 1,
+    "ReplayError": 2,
+    "RoughMapError": 1,
+    "RunError": 1,
+    "ServeError": 2,
+    "ServiceFailed": 1,
+    "SpillError": 2,
+    "StoreError": 2,
+    "TornLog": 2,
+    "TransportError": 1,
+    "UnknownEventKind": 1,
+    "UnreadableAnswer": 1,
 }
-MODULES = (
-    "journal.reader", "store.map_db", "engine.recovery", "offline.replay", "formats.clouds_in", "run.apply",
-    "inputs.session", "http.token", "http.server",
-)  # fmt: skip
 
 
-@pytest.mark.parametrize(("module", "name", "_code"), main._LATE)
-def test_what_the_table_names_is_there(module: str, name: str, _code: int) -> None:
-    error = getattr(importlib.import_module(module), name)
-    assert issubclass(error, Exception)
+def all_errors() -> dict[str, type[ReportedError]]:
+    """Import every module; return all subclasses of the base by name."""
+    for package in (roughmap_schemas, roughmap_client, roughmap_service):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            importlib.import_module(module.name)
+    found: dict[str, type[ReportedError]] = {}
+    left = [ReportedError]
+    while left:
+        for kind in left.pop().__subclasses__():
+            found[kind.__name__] = kind
+            left.append(kind)
+    return found
 
 
-@pytest.mark.parametrize("name", CODES)
-def test_codes(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    kinds = [getattr(importlib.import_module(f"roughmap_service.{module}"), name, None) for module in MODULES]
-    kind = next(kind for kind in kinds if kind is not None)
+def test_every_error_has_its_code() -> None:
+    assert {name: kind.exit_code for name, kind in all_errors().items()} == CODES
 
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [(ReportedError, 1), (ConfigFault, 2), (OSError, 1), (zenoh.ZError, 1)],
+)
+def test_one_line_and_the_code(
+    error: type[Exception], code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     @click.command()
     def failing() -> None:
-        raise kind("what is wrong\nand the mend")
+        raise error("the cause\nand the remedy")
 
     monkeypatch.setattr(main, "cli", failing)
-    assert main.run([]) == CODES[name]
-    out, err = capsys.readouterr()
-    assert (out, err) == ("", "roughmap: what is wrong and the mend\n")
+    assert main.run([]) == code
+    assert tuple(capsys.readouterr()) == ("", "roughmap: the cause and the remedy\n")
+
+
+def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    @click.command()
+    def failing() -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(main, "cli", failing)
+    with pytest.raises(ZeroDivisionError):
+        main.run([])

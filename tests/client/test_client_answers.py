@@ -155,13 +155,13 @@ def keys(changes: Changes) -> set[tuple[int, int, int]]:
 def test_changes_since_a_version(changing: tuple[Served, RoughMapClient]) -> None:
     served, client = changing
     first = client.changes()
-    assert first.anew
+    assert first.complete
     assert (first.version, len(first.tiles)) == ((5, 5, INSTANCE), served.map.tile_count)
     nothing = client.changes(first.version)
-    assert (nothing.tiles, nothing.anew, nothing.version) == ([], False, first.version)
+    assert (nothing.tiles, nothing.complete, nothing.version) == ([], False, first.version)
     served.add(np.array([[-60.0, 3.2, 1.0]]))
     second = client.changes(nothing.version)
-    assert (keys(second), second.anew, second.version) == ({(0, -10, 0)}, False, (5, 6, INSTANCE))
+    assert (keys(second), second.complete, second.version) == ({(0, -10, 0)}, False, (5, 6, INSTANCE))
     assert keys(client.changes(first.version, bbox=(0.0, 0.0, 6.0, 6.0))) == set()
     assert keys(client.changes(first.version, level=2)) == {(2, -3, 0)}
 
@@ -172,7 +172,7 @@ def test_after_a_reset_all_is_anew_and_the_emptied_tiles_are_told(changing: tupl
     served.reset()
     served.add(np.array([[1.0, 1.0, 1.0]]))
     after = client.changes(held.version)
-    assert after.anew
+    assert after.complete
     assert after.version == (6, 7, INSTANCE)
     assert keys(after) == keys(held)
     assert {tile.key for tile in after.tiles if tile.known_cells} == {(0, 0, 0)}
@@ -192,8 +192,8 @@ def test_following_the_changes_gives_the_whole_map(changing: tuple[Served, Rough
         for _ in range(rng.integers(0, 3)):
             served.add(some_points(50, int(rng.integers(1000)), tuple(rng.uniform(-20, 20, 2))), T0 + step)
         changes = client.changes(version, level=level)
-        assert changes.anew == (step in {0, 7})
-        if changes.anew:
+        assert changes.complete == (step in {0, 7})
+        if changes.complete:
             held.clear()
         held |= {tile.key: tile for tile in changes.tiles}
         version = changes.version
@@ -211,5 +211,5 @@ def test_a_run_begun_anew_is_not_taken_for_the_one_before() -> None:
         before.answers.close()
         with Served(sessions=(before.server, before.asker), instance="9" * 32):
             after = client.changes(held.version)
-    assert after.anew
+    assert after.complete
     assert (len(after.tiles), after.version) == (len(held.tiles), (5, 5, "9" * 32))

@@ -1,5 +1,6 @@
 """Handing in messages: receipts, and what the client does when none comes."""
 
+import time
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 
@@ -99,17 +100,11 @@ def test_a_refusal_that_passes_is_waited_out(pair: Pair, client: RoughMapClient,
     assert len(heard.messages) == 2
 
 
-class Pauses(list[float]):
-    """Time that passes at once: the pauses that the client wanted."""
-
-    wait = list[float].append
-
-
 def test_each_pause_is_twice_the_one_before_up_to_a_limit(
     pair: Pair, client: RoughMapClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pauses = Pauses()
-    monkeypatch.setattr(client_module, "threading", SimpleNamespace(Event=lambda: pauses))
+    pauses: list[float] = []
+    monkeypatch.setattr(client_module, "time", SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append))
     with foreign(pair, KEY, Heard(*[lambda query: refuse(query, "busy")] * 7)):
         client.ingest(b"the cloud", "mule")
     assert pauses == [0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0]

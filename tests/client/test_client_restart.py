@@ -63,7 +63,7 @@ def test_calls_and_watches_outlive_a_restart() -> None:
             np.testing.assert_array_equal(after["mean_height"], before["mean_height"])  # type: ignore[index]
             assert (before.epoch, after.epoch) == (1, 2)  # type: ignore[attr-defined]
             changes = client.changes(held.version)
-            assert changes.anew
+            assert changes.complete
             assert changes.version.epoch == 2
             served.add(np.array([[60.0, 0.0, 1.0]]))
             tiles.wait(lambda items: any(tile.key == (0, 9, 0) for tile in items), "a tile of the second")

@@ -1,4 +1,4 @@
-"""Digests of maps that use all of the way to a cell; run as a program too, under other CPUs' instruction sets."""
+"""Digests of maps that exercise every step from point to cell; also run as a program, under other instruction sets."""
 
 import json
 
@@ -8,13 +8,13 @@ from numba.core.registry import cpu_target
 from roughmap import Limits, Noise, RoughMap, Scan, Trajectory
 
 NUMBER = 6_000
-"""Enough for two threads, which each want some 2,000 points."""
+"""Enough for two threads, which need about 2,000 points each."""
 
 
 def scan_and_way() -> tuple[Scan, Trajectory]:
-    """A sweep with times over ten poses in UTM.
+    """Return a sweep with per-point times over ten poses in UTM.
 
-    Nothing but sums, products and quotients of integers makes it: numpy's own choice of instructions must not show.
+    It is made of sums, products and quotients of integers only, so that it does not depend on numpy's instruction set.
     """
     n = np.arange(NUMBER, dtype=np.int64)
     spread = np.stack([n * 7919 % 10007, n * 104729 % 9973, n * 1299709 % 2003], axis=1)
@@ -32,7 +32,7 @@ def scan_and_way() -> tuple[Scan, Trajectory]:
 
 
 def digests() -> dict[str, str]:
-    """By error model, way in and number of threads."""
+    """Return digests by error model, method and number of threads."""
     found = {}
     scan, way = scan_and_way()
     still = Scan(scan.points.astype(np.float32), scan.stamp_ns, None, scan.translation, scan.rotation)

@@ -1,6 +1,6 @@
-"""What the tests of the map core draw from: points, covariances, poses, scans, cell boxes; and maps as dictionaries.
+"""Hypothesis strategies for the map core: points, covariances, poses, scans, cell boxes; and maps as dictionaries.
 
-Shapes and scales are drawn by Hypothesis, so that it can shrink them; the many numbers within come from a seed.
+Hypothesis draws shapes and scales, so that it can shrink them; the many numbers come from a seeded generator.
 """
 
 from typing import Any
@@ -14,7 +14,7 @@ MODELS = ("point", "cuboid", "ellipsoid")
 WEIGHTED = MODELS[1:]
 
 CENTRES = [(0.0, 0.0, 0.0), (-6.4, 6.4, 12.0), (512_345.67, 5_403_210.98, 431.0)]
-"""The origin, where four tiles of 0.1 m cells meet, and a place in UTM."""
+"""The origin, the corner of four tiles of 0.1 m cells, and a place in UTM."""
 
 START_NS = 1_700_000_000_000_000_000
 SECOND_NS = 1_000_000_000
@@ -65,7 +65,7 @@ def points(draw: st.DrawFn, number: int, centres: list[tuple[float, float, float
 
 @st.composite
 def clouds(draw: st.DrawFn, least: int = 1, most: int = 40) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, covariances and stamps, in the map frame; a few points are not numbers, a few have no covariance."""
+    """Points, covariances and stamps in the map frame; a few points are not finite, a few covariances are invalid."""
     number = draw(st.integers(least, most))
     where, S = draw(points(number)), draw(covariances(number))
     rng = np.random.default_rng(draw(seeds))
@@ -76,7 +76,7 @@ def clouds(draw: st.DrawFn, least: int = 1, most: int = 40) -> tuple[np.ndarray,
 
 @st.composite
 def trajectories(draw: st.DrawFn, centres: list[tuple[float, float, float]] = CENTRES) -> Trajectory:
-    """Up to five poses over about a second, turning by little or much; quaternions of either sign and any norm."""
+    """Up to five poses over about a second, with small or large turns; quaternions of either sign and any norm."""
     number = draw(st.integers(2, 5))
     rng = np.random.default_rng(draw(seeds))
     gaps = rng.integers(SECOND_NS // (2 * number), 3 * SECOND_NS // number // 2, number)
@@ -93,7 +93,7 @@ def trajectories(draw: st.DrawFn, centres: list[tuple[float, float, float]] = CE
 
 @st.composite
 def scans(draw: st.DrawFn, most: int = 60) -> Scan:
-    """Up to ``most`` returns within some metres, some missing, with or without times of their own, any mounting."""
+    """Up to ``most`` returns within a few metres, some missing, with or without per-point times, any mounting."""
     number = draw(st.integers(1, most))
     rng = np.random.default_rng(draw(seeds))
     returns = rng.normal(0, 3.0, (number, 3))
@@ -129,7 +129,7 @@ limits = st.builds(
 
 @st.composite
 def cell_boxes(draw: st.DrawFn, reach: int = 70, side: int = 6) -> tuple[int, int, int, int]:
-    """Cells (i0, j0, i1, j1), half-open, near the origin and so near borders of tiles."""
+    """Cells (i0, j0, i1, j1), half-open, near the origin and therefore near tile borders."""
     i, j = (draw(st.integers(-reach, reach)) for _ in range(2))
     return i, j, i + draw(st.integers(1, side)), j + draw(st.integers(1, side))
 
@@ -153,7 +153,7 @@ def shares_of(m: RoughMap) -> dict[tuple[int, int], float]:
 
 
 def state_of(m: RoughMap) -> tuple[Any, ...]:
-    """What must not change where nothing is to change: cells to the bit, counters, stamps, sequences of all levels."""
+    """All state that must stay the same if nothing changes: cells, counters, stamps, sequences of all levels."""
     seen: list[Any] = [m.sequence, m.newest_updated, m.tile_count, m.extent(), m.digest()]
     for level in range(m.levels):
         with m.freeze(level) as frozen:

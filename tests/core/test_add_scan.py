@@ -1,4 +1,4 @@
-"""The fused path is `georeference` and then `add`, to the bit."""
+"""`add_scan` equals `georeference` followed by `add`, to the bit."""
 
 import tracemalloc
 from collections import Counter
@@ -16,7 +16,7 @@ from roughmap.cell import REASON_NAMES
 def both_ways(
     scan: Scan, way: Trajectory, noise: Noise, rules: Limits, model: str, threads: int = 1
 ) -> tuple[RoughMap, RoughMap]:
-    """Maps of the scan by the fused path and by the two steps; what they report is the same too."""
+    """Return maps of the scan by `add_scan` and by the two steps, after comparing their reports."""
     bounds = None
     if len(way.position):
         x, y = way.position[0, :2]
@@ -46,7 +46,7 @@ def test_any_scan(scan: Scan, way: Trajectory, noise: Noise, rules: Limits, mode
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("model", MODELS)
 def test_a_whole_sweep(model: str, moving: bool, dtype: type) -> None:
-    """Many blocks and two threads in the fused path, against one block after the other."""
+    """Many blocks and two threads in `add_scan`, against the two steps."""
     rng = np.random.default_rng(9)
     points = rng.normal(0, 4.0, (15_000, 3)).astype(dtype)
     points[::50] = 0.0
@@ -65,8 +65,9 @@ def test_a_whole_sweep(model: str, moving: bool, dtype: type) -> None:
 
 
 def test_no_covariance_array_in_between() -> None:
-    """200,000 covariances would take 14.4 MB as (N, 3, 3), 9.6 MB as triangles. The planes take some 20 MB and stay;
-    after the first call there is next to nothing that grows with the scan.
+    """200,000 covariances would take 14.4 MB as (N, 3, 3), 9.6 MB as triangles.
+
+    The planes take about 20 MB and are reused: after the first call almost nothing grows with the scan.
     """
     rng = np.random.default_rng(10)
     scan = Scan(rng.normal(0, 4.0, (200_000, 3)), START_NS)

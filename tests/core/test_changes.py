@@ -1,4 +1,4 @@
-"""What a call changes: tiles with their sequences at every level, readings that stay as they were, limits on tiles."""
+"""What a call changes: tiles and their sequences at every level; frozen maps stay the same; limits on new tiles."""
 
 from collections.abc import Callable
 
@@ -23,8 +23,10 @@ def sequences_of(m: RoughMap, level: int) -> dict[tuple[int, int], int]:
 def test_sequences_are_those_of_the_last_change_in_the_tile_or_around_it(
     seed: int, model: str, levels: int, calls: int
 ) -> None:
-    """By brute force: all cells before and after each call are compared, at every level; a tile is as new as the last
-    change within its 66 x 66 cells. Points fall near borders of tiles of all levels, and here and there.
+    """Compare all cells before and after each call, at every level, by brute force.
+
+    The sequence of a tile is that of the last change in its 66 x 66 cells. Points fall near tile borders of all levels
+    and elsewhere.
     """
     rng = np.random.default_rng(seed)
     a = 0.25
@@ -53,10 +55,10 @@ def test_sequences_are_those_of_the_last_change_in_the_tile_or_around_it(
 
 @settings(deadline=None, max_examples=60)
 @given(cloud=clouds(least=5), model=st.sampled_from(MODELS), level=st.integers(0, 3), cut=st.integers(1, 4))
-def test_a_reading_stays_as_it_was(
+def test_a_frozen_map_does_not_change(
     cloud: tuple[np.ndarray, np.ndarray, np.ndarray], model: str, level: int, cut: int
 ) -> None:
-    """Bytes, sequences, stamps and layers of an open reading, while all its cells change and tiles come."""
+    """Bytes, sequences, stamps and layers of a frozen map, while all its cells change and tiles are added."""
     points, covariance, stamps = cloud
     m = RoughMap(error_model=model, threads=1)
     m.add(points[:cut], covariance[:cut], stamps[:cut])
@@ -83,8 +85,8 @@ def test_a_reading_stays_as_it_was(
         assert seen() == before
 
 
-def test_a_reading_that_is_closed_leaves_no_memory_behind() -> None:
-    """Copies made for readings are given back: after any number of them the map takes what it took."""
+def test_a_closed_frozen_map_leaves_no_memory_behind() -> None:
+    """Copies made for frozen maps are freed: after any number of them the map takes the same memory."""
     m = RoughMap(error_model="point", threads=1)
     grid = np.stack(np.meshgrid(np.arange(5), np.arange(5), [0.0]), axis=-1).reshape(-1, 3) * 6.4
     m.add(grid)
@@ -107,7 +109,7 @@ def by_scan(m: RoughMap, points: np.ndarray, **options: int) -> object:
 
 @pytest.mark.parametrize("way_in", [by_add, by_scan])
 def test_too_many_tiles_come_before_any_cell(way_in: Callable[..., object]) -> None:
-    """Three tiles are known, four more are needed, one of which by a footprint only; known cells change as well."""
+    """Three tiles are known and four more are needed, one only by a footprint; known cells change as well."""
     m = RoughMap(error_model="cuboid", threads=1)
     known = np.array([(1.0, 1.0, 1.0), (7.0, 1.0, 1.0), (1.0, 7.0, 1.0)])
     m.add(known, S)
@@ -137,7 +139,7 @@ def test_known_tiles_are_not_counted() -> None:
 
 
 def test_a_tile_without_a_share_is_not_made() -> None:
-    """The footprint crosses a tile's border by a sliver below min_share: that tile is neither made nor counted."""
+    """The footprint crosses a tile border by less than min_share: that tile is neither created nor counted."""
     m = RoughMap(error_model="cuboid", min_share=0.05, threads=1)
     # Half width 0.02, of which 0.0005 lies past 6.4: a share of 0.0125.
     report = m.add([(6.4 - 0.0195, 1.05, 1.0)], S, max_new_tiles=1)
@@ -146,7 +148,7 @@ def test_a_tile_without_a_share_is_not_made() -> None:
 
 
 def test_more_tiles_at_once_than_the_tables_first_hold() -> None:
-    """3,000 tiles in one call: the tables double on the way, and all of it is there."""
+    """3,000 tiles in one call: the tables double several times, and no tile is lost."""
     i, j = np.divmod(np.arange(3_000), 60)
     points = np.column_stack([(i - 25) * 6.4 + 0.05, (j - 30) * 6.4 + 0.05, np.arange(3_000.0)])
     m = RoughMap(error_model="point", threads=1)

@@ -1,4 +1,4 @@
-"""The same points in the same order give the same bytes, however they are cut into calls and shared among threads."""
+"""The same points in the same order give the same bytes, for any division into calls and any number of threads."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def test_cut_into_calls(
 
 
 def survey(number: int, seed: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points over some 30 tiles in no order, with covariances of any shape."""
+    """Points over about 30 tiles in random order, with covariances of any shape."""
     rng = np.random.default_rng(seed)
     points = rng.normal(0, 8.0, (number, 3))
     points[rng.random(number) < 0.3] *= 0.01  # a third within one cell or two: long chains of updates
@@ -54,7 +54,7 @@ def test_blocks_calls_and_threads(model: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_threads_leave_the_same_state(model: str) -> None:
-    """Not the cells alone: stamps, sequences at all levels, and the report."""
+    """The whole state is compared: cells, stamps, sequences at all levels, and the report."""
     points, S, stamps = survey(12_000)
     states = []
     for threads in (1, 2):
@@ -65,7 +65,7 @@ def test_threads_leave_the_same_state(model: str) -> None:
 
 
 def test_other_points_before_do_not_matter_to_a_tile() -> None:
-    """Tiles are independent: made in another order, or in a map with more of them, each has the same bytes."""
+    """Tiles are independent: each has the same bytes if tiles come in another order or more tiles are present."""
     points, _, stamps = survey(3_000)
     tile = np.floor(points[:, :2] / 0.1).astype(int) >> 6
     order = np.lexsort((np.arange(3_000), -tile[:, 0], tile[:, 1] % 3))
@@ -86,7 +86,7 @@ def test_one_covariance_for_all_is_that_of_each() -> None:
 
 
 def test_strides_and_kinds_of_numbers_do_not_matter() -> None:
-    """Columns of a wider array, backwards, big-endian, float32, integers: the same values give the same bytes."""
+    """The same values give the same bytes as columns of a wider array, reversed, big-endian, float32 or integers."""
     rng = np.random.default_rng(7)
     values = rng.integers(-40, 40, (500, 3))
     S = np.eye(3) * 0.0625
@@ -102,7 +102,7 @@ def test_strides_and_kinds_of_numbers_do_not_matter() -> None:
 
 
 def driven(model: str, threads: int, step: int, moving: bool) -> str:
-    """A sweep of 20,000 returns over ten poses, handed over in parts."""
+    """Return the digest of a sweep of 20,000 returns over ten poses, added in parts."""
     rng = np.random.default_rng(8)
     stamps = START_NS + np.arange(11) * (SECOND_NS // 10)
     rotation = np.array([0.0, 0.0, 0.0, 1.0]) + rng.normal(0, 0.05, (11, 4))

@@ -1,4 +1,4 @@
-"""Points with times of their own: position linear, rotation along the shorter arc, covariance linear."""
+"""Per-point times: the position is linear, the rotation follows the shorter arc, the covariance is linear."""
 
 from math import cos, pi, sin
 
@@ -25,7 +25,7 @@ def two_poses(first: object, second: object, covariance: np.ndarray | None = Non
 
 
 def ahead(offsets: np.ndarray = NS) -> Scan:
-    """One return a time, 1 m ahead."""
+    """One return per time, 1 m ahead."""
     return Scan(np.tile((1.0, 0.0, 0.0), (len(offsets), 1)), START_NS, offsets)
 
 
@@ -39,20 +39,20 @@ def test_the_position_is_linear() -> None:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 0.02, pi / 2, 3.1, -2.0])
 def test_the_rotation_goes_evenly_along_the_shorter_arc(angle: float, sign: float) -> None:
-    """q and -q are the same rotation: with either the way is the one of at most half a turn."""
+    """q and -q are the same rotation: with either, the robot turns by at most half a turn."""
     way = two_poses(yaw(0.3), sign * np.array(yaw(0.3 + angle)))
     points, _, _ = georeference(ahead(), way, Noise(0.01))
     u = NS / SECOND_NS
     heading = 0.3 + u * angle
     expected = u[:, None] * (8, -4, 2) + np.stack([np.cos(heading), np.sin(heading), np.zeros(4)], axis=1)
-    # Near half a turn the weights are quotients of small numbers: 1 / sinc(pi / 2) is but 1.6.
+    # Near half a turn the weights are quotients of small numbers: 1 / sinc(pi / 2) is only 1.6.
     np.testing.assert_allclose(points, expected, rtol=0, atol=5e-15)
 
 
 @settings(deadline=None, max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([1e-9, 1e-3, 0.3, 3.0]))
 def test_slerp_turns_at_a_constant_rate(seed: int, scale: float) -> None:
-    """From pose to pose the turn is the same axis, an angle in proportion to the time."""
+    """Between two poses the axis of rotation is constant and the angle is proportional to the time."""
     rng = np.random.default_rng(seed)
     first = Rotation.random(random_state=rng)
     axis = rng.normal(size=3)
@@ -66,7 +66,7 @@ def test_slerp_turns_at_a_constant_rate(seed: int, scale: float) -> None:
 
 
 def test_the_covariance_is_linear() -> None:
-    """Without a lever and without noise but the pose's, S is its upper left block: from 1e-4 to 9e-4 in quarters."""
+    """Without a lever and with pose noise only, S is the pose's upper left block: from 1e-4 to 9e-4 in quarters."""
     pair = np.stack([np.diag([1e-4] * 3 + [0.0] * 3), np.diag([9e-4] * 3 + [0.0] * 3)])
     _, covariance, _ = georeference(ahead(), two_poses(yaw(0), yaw(1), pair), Noise(0.0))
     np.testing.assert_allclose(covariance[:, 0, 0], [1e-4, 3e-4, 5e-4, 9e-4], rtol=1e-14)
@@ -82,7 +82,7 @@ def test_a_scan_without_times_is_placed_at_its_stamp() -> None:
 
 
 def test_the_bracket_is_found_whatever_the_order_of_the_points() -> None:
-    """The search begins where the last one ended: points in time, backwards and shuffled land at the same place."""
+    """Each search starts at the previous bracket: points in order, reversed and shuffled are placed the same."""
     rng = np.random.default_rng(5)
     stamps = START_NS + np.cumsum(rng.integers(1, 10**7, 90))
     way = Trajectory(stamps, rng.normal(size=(90, 3)), rng.normal(size=(90, 4)), np.zeros((90, 6, 6)))
@@ -96,7 +96,7 @@ def test_the_bracket_is_found_whatever_the_order_of_the_points() -> None:
 
 
 def test_no_extrapolation_and_no_wide_gaps() -> None:
-    """Poses at 0.0, 0.1 and 0.7 s: what lies before, after and within the gap has no pose; exact stamps have."""
+    """Poses at 0.0, 0.1 and 0.7 s: times before, after and in the gap have no pose; exact stamps have one."""
     stamps = START_NS + np.array([0, 1, 7]) * (SECOND_NS // 10)
     way = Trajectory(stamps, np.zeros((3, 3)), np.tile((0, 0, 0, 1), (3, 1)), np.zeros((3, 6, 6)))
     offsets = np.array([0, 1, SECOND_NS // 10, SECOND_NS // 10 + 1, 7 * SECOND_NS // 10, 7 * SECOND_NS // 10 + 1])
@@ -121,7 +121,7 @@ def test_poses_exactly_the_gap_apart(ms: int) -> None:
 
 
 def test_deskewing_makes_a_turning_wall_flat() -> None:
-    """A wall 5 m ahead, seen by a scanner that turns by 1 rad within the sweep: all points fall into one column."""
+    """A wall 5 m ahead, scanned while the robot turns by 1 rad: all points fall into one column of cells."""
     way = two_poses(yaw(0), yaw(1.0))
     u = np.linspace(0, 1, 500)
     position = u[:, None] * (8, -4, 2)

@@ -1,4 +1,4 @@
-"""The digest, calculated a second time from the records as the contract lays it down."""
+"""The digest, computed independently from the records as the contract defines it."""
 
 import struct
 
@@ -16,7 +16,7 @@ FIELDS = ("count", "updated", "weight", "weight_sq", "mean", "m2", "min", "max",
 
 
 def by_the_contract(m: RoughMap) -> str:
-    """From the known cells, each packed field by field; all others are 64 zero bytes."""
+    """Compute the digest from the known cells, packed field by field; all other cells are 64 zero bytes."""
     tiles: dict[tuple[int, int], bytearray] = {}
     for (i, j), cell in cells_of(m).items():
         records = tiles.setdefault((i >> 6, j >> 6), bytearray(64 * 4096))
@@ -39,7 +39,7 @@ def test_the_record() -> None:
 @settings(deadline=None, max_examples=60)
 @given(cloud=clouds(), model=st.sampled_from(MODELS), cuts=st.integers(1, 3))
 def test_any_map(cloud: tuple[np.ndarray, np.ndarray, np.ndarray], model: str, cuts: int) -> None:
-    """After each of some calls, so that a digest that was kept too long would show."""
+    """The digest is checked after each call, so that a stale cached digest would show."""
     points, S, stamps = cloud
     m = RoughMap(error_model=model, threads=1)
     for part in np.array_split(np.arange(len(points)), cuts):
@@ -48,7 +48,7 @@ def test_any_map(cloud: tuple[np.ndarray, np.ndarray, np.ndarray], model: str, c
 
 
 def test_tiles_are_sorted_as_signed_numbers() -> None:
-    """As unsigned ones -1 would come last, and as bytes 256 before 1."""
+    """As unsigned numbers -1 would come last, and as little-endian bytes 256 before 1."""
     m = RoughMap(cell_size=1.0, error_model="point", threads=1)
     places = [(1, -1), (-1, 0), (0, 256), (0, 1), (0, -2), (256, 0), (-(2**25), 5), (2**25 - 1, -7)]
     m.add([(64.0 * x, 64.0 * y, 1.0) for x, y in places])
@@ -79,7 +79,7 @@ def test_any_difference_shows(other: dict[str, float]) -> None:
 
 
 def test_stamps_within_a_second_and_sequences_do_not_count() -> None:
-    """Oldest, newest and sequence of a tile are none of its state's bytes."""
+    """The oldest stamp, newest stamp and sequence of a tile are not part of its digest."""
     first, second = (RoughMap(error_model="point", threads=1) for _ in range(2))
     first.add([(0.0, 0.0, 1.0)], stamp_ns=3 * 10**9)
     second.reset()
@@ -95,7 +95,7 @@ def test_tiles_loaded_from_a_store_count_like_those_that_were_built() -> None:
         for x, y, digest in zip(tx.tolist(), ty.tolist(), digests, strict=True):
             copy.load_tile(x, y, frozen.records(x, y).reshape(-1), 0, 0, digest.tobytes())
     assert copy.digest() == m.digest()
-    # A stored digest is not kept past a change.
+    # A change discards the stored digest.
     m.add([(0.05, 0.05, 1.0)])
     copy.add([(0.05, 0.05, 1.0)])
     assert copy.digest() == m.digest() == by_the_contract(copy)

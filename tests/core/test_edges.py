@@ -1,4 +1,4 @@
-"""Where the map ends: 32-bit cell numbers, `bounds`, huge coordinates; and what that does to footprints."""
+"""Edges of the map: 32-bit cell numbers, `bounds`, huge coordinates, and their effect on footprints."""
 
 import threading
 from math import inf, nextafter
@@ -35,7 +35,7 @@ def test_the_first_and_the_last_cell(axis: int) -> None:
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("end", [BOTTOM, TOP])
 def test_a_footprint_that_leaves_the_numbers(model: str, axis: int, end: float) -> None:
-    """A body of half width 0.25: at 0.375 from the last border it fits, at 0.125 it doesn't."""
+    """A body of half width 0.25 fits at 0.375 from the last border, but not at 0.125."""
     inwards = 1.0 if end < 0 else -1.0
     for distance, rejected in ((0.375, {}), (0.125, {"bounds": 1})):
         m = RoughMap(cell_size=1.0, error_model=model, threads=1)
@@ -45,7 +45,7 @@ def test_a_footprint_that_leaves_the_numbers(model: str, axis: int, end: float) 
 
 
 def test_all_levels_at_the_corners_of_the_numbers() -> None:
-    """Four corners, four tiles at every level; none is another's neighbour around the back."""
+    """Four corners, four tiles at every level; numbers do not wrap, so none is a neighbour of another."""
     m = RoughMap(cell_size=1.0, error_model="point", levels=26, threads=1)
     corners = [(x, y, 1.0) for x in (BOTTOM, TOP - 1) for y in (BOTTOM, TOP - 1)]
     for n, corner in enumerate(corners):
@@ -54,7 +54,7 @@ def test_all_levels_at_the_corners_of_the_numbers() -> None:
         low, high = -(1 << 25 >> level), (1 << 25 >> level) - 1
         with m.freeze(level) as frozen:
             assert frozen.tiles.tolist() == [[low, low], [low, high], [high, low], [high, high]]
-            # At the last level but one tile lies beside the other, at all others none is near.
+            # Only at the last level but one are the tiles neighbours.
             if level < 25:
                 assert frozen.sequences.tolist() == [1, 2, 3, 4]
     assert m.extent() == (BOTTOM, BOTTOM, TOP, TOP)
@@ -84,7 +84,7 @@ def test_bounds_are_half_open(model: str) -> None:
 def test_footprint_cells_outside_are_not_written(
     model: str, box: tuple[int, int, int, int], place: tuple[float, float], turn: float
 ) -> None:
-    """Inside, each cell has the bytes that it has in a map without bounds."""
+    """Inside the bounds each cell has the same bytes as in a map without bounds."""
     i0, j0, i1, j1 = box
     a = 0.25
     point = [((i0 + place[0]) * a, (j0 + place[1]) * a, 1.0)]
@@ -111,7 +111,7 @@ def test_a_bound_meant_to_lie_on_a_border_does() -> None:
 
 @pytest.mark.parametrize("model", WEIGHTED)
 def test_a_body_finer_than_the_floats_there(model: str) -> None:
-    """At 1e8 m floats are 1.5e-8 apart; a body of 1e-9 m lies in one cell, whole, with its height as it is."""
+    """At 1e8 m floats are 1.5e-8 apart: a body of 1e-9 m lies in one cell, with share 1 and its exact height."""
     m = RoughMap(cell_size=0.1, error_model=model, min_radius=1e-9, threads=1)
     assert m.add([(1e8, -1e8, 3.0)], np.zeros((3, 3))).accepted == 1
     ((place, cell),) = cells_of(m).items()
@@ -121,7 +121,7 @@ def test_a_body_finer_than_the_floats_there(model: str) -> None:
 
 
 def test_counts_stop_at_the_top() -> None:
-    """A count of 2^32 - 1 stays: the next would make the cell one that was never hit."""
+    """A count of 2^32 - 1 does not wrap to 0, which would make the cell unknown."""
     m = RoughMap(cell_size=1.0, error_model="point", threads=1)
     m.add([(0.5, 0.5, 1.0)])
     with m.freeze() as frozen:
@@ -146,7 +146,7 @@ def test_heights_of_any_size() -> None:
 
 @pytest.mark.parametrize("height", [1e4, 1e6, 1e9, 1e12, 1e20, 1e100])
 def test_a_body_that_raising_widens_is_no_covariance(height: float) -> None:
-    """Eigenvalues down to -1e-9 of the trace are let through; raised, they widen what stands high without bound."""
+    """Eigenvalues down to -1e-9 of the trace are accepted; raising them can widen a high body without limit."""
     m = RoughMap(error_model="ellipsoid", threads=1)
     S = np.diag([0.01, 0.01, height])
     S[0, 2] = np.sqrt((0.01 + 0.9e-9 * height) * height)
@@ -158,7 +158,7 @@ def test_a_body_that_raising_widens_is_no_covariance(height: float) -> None:
 
 
 def test_a_part_that_fails_leaves_no_other_at_work() -> None:
-    """The next scan begins on the same memory."""
+    """The next scan uses the same memory."""
     entered, leave = threading.Event(), threading.Event()
     working = []
 

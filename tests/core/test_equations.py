@@ -1,4 +1,4 @@
-"""Each equation of the method once, with an example worked out by hand in the comments."""
+"""Each equation of the method, with an example worked out by hand in the comments."""
 
 from math import sqrt
 
@@ -10,11 +10,11 @@ from roughmap import Noise, RoughMap, Scan, Trajectory, georeference
 from roughmap.reference.batch import BatchMap
 
 HEIGHTS = (1.0, 2.0, 6.0)
-"""Sum 9, mean 3, squares of the differences to it 4 + 1 + 9 = 14."""
+"""Sum 9, mean 3, sum of squared differences 4 + 1 + 9 = 14."""
 
 
 def cell_of_points(*heights: float, min_distance: float = 1e-3) -> RoughMap:
-    """A map whose cell (0, 0), one metre wide, got these heights as bare points."""
+    """Return a map whose cell (0, 0), one metre wide, holds these heights as points without error."""
     m = RoughMap(cell_size=1.0, error_model="point", min_distance=min_distance, threads=1)
     m.add([(0.5, 0.5, h) for h in heights])
     return m
@@ -25,9 +25,9 @@ def layer(m: RoughMap, name: str, tolerance: float = 0.05) -> float:
 
 
 def test_eq_1_georeferencing() -> None:
-    """The robot stands at (10, 20, 5) and looks along the map's y; its scanner sits at (1, 0, 2), not turned.
+    """The robot stands at (10, 20, 5) and looks along the map's y; its scanner sits at (1, 0, 2), not rotated.
 
-    A return 4 m ahead, (4, 0, 0), is at (5, 0, 2) of the robot, so at (10 - 0, 20 + 5, 5 + 2) of the map.
+    A return 4 m ahead, (4, 0, 0), is at (5, 0, 2) in the robot's frame and at (10 - 0, 20 + 5, 5 + 2) in the map's.
     Levers: l = (0, 5, 2) from the base, l_m = (0, 4, 0) from the scanner.
     Scanner: sr = 0.02 + 0.0025 * 4 = 0.03 along y, st = 0.005 * 4 = 0.02 across: diag(4, 9, 4) e-4.
     Pose: x with variance 1e-4, yaw with 1e-4, both with covariance 2e-5. A yaw of 1 moves the point by
@@ -43,7 +43,7 @@ def test_eq_1_georeferencing() -> None:
     points, covariance, reason = georeference(Scan([(4, 0, 0)], 7, translation=(1, 0, 2)), trajectory, noise)
     assert reason.tolist() == [0]
     np.testing.assert_allclose(points, [(10, 25, 7)], rtol=1e-15)
-    # A turn by 90 degrees is off by 1e-16, and with it what should be 0.
+    # A rotation by 90 degrees is off by 1e-16, and so are the zeros.
     np.testing.assert_allclose(covariance[0], np.diag([28e-4, 13e-4, 20e-4]), rtol=1e-13, atol=1e-17)
 
 
@@ -76,9 +76,9 @@ def test_eq_6_standard_deviation() -> None:
 
 
 def test_eq_6_at_survey_altitudes() -> None:
-    """The same differences 8848 m up, in units of 1/1024 m, which float64 holds exactly: eq. 8 would lose them."""
+    """The same differences at 8848 m, in units of 1/1024 m, exact in float64: eq. 8 would lose them."""
     m = cell_of_points(*(8848.0 + h / 1024 for h in HEIGHTS))
-    # Each running mean is off by up to 1e-12 m, a part of 1e-9 of these differences.
+    # Each running mean is off by up to 1e-12 m, 1e-9 of these differences.
     assert layer(m, "std_dev") == pytest.approx(sqrt(7.0) / 1024, rel=1e-8)
 
 
@@ -88,7 +88,7 @@ def test_eq_7_range() -> None:
 
 
 def test_eq_11_confidence_level() -> None:
-    """With d = 2 std_dev / sqrt(3) the argument of F is 1: 2 F(1) - 1 = 0.682689492137086, a sigma's part."""
+    """With d = 2 std_dev / sqrt(3) the argument of F is 1: 2 F(1) - 1 = 0.682689492137086, one sigma's share."""
     m = cell_of_points(*HEIGHTS)
     assert layer(m, "confidence_level", 2 * sqrt(7 / 3)) == pytest.approx(0.682689492137086, rel=1e-14)
 
@@ -130,7 +130,7 @@ def test_eq_13_weighted_mean(model: str) -> None:
 
 @pytest.mark.parametrize("model", ["cuboid", "ellipsoid"])
 def test_eq_14_half_a_point(model: str) -> None:
-    """On the border x = 1 a half lies on either side: w = 500 in each, W2 = w^2 / p = 500^2 / 0.5 = 500000, n = 0.5."""
+    """On the border x = 1 half lies on each side: w = 500 in each, W2 = w^2 / p = 500^2 / 0.5 = 500000, n = 0.5."""
     m = RoughMap(cell_size=1.0, error_model=model, threads=1)
     m.add([(1.0, 0.5, 1.0)], S_LOW)
     for place in ((0, 0), (1, 0)):
@@ -147,7 +147,7 @@ def test_eq_14_of_a_tilted_ellipsoid() -> None:
 
 
 def test_eq_15_confidence_factor() -> None:
-    """Heights 0 and 3, least distance 1: means 0 and 1.5; 1 / (1 / 1^2 + 1 / 1.5^2) = 1 / (13 / 9), in both ways."""
+    """Heights 0 and 3, least distance 1: means 0 and 1.5; 1 / (1 / 1^2 + 1 / 1.5^2) = 1 / (13 / 9), both methods."""
     m = cell_of_points(0.0, 3.0, min_distance=1.0)
     assert layer(m, "confidence_factor") == pytest.approx(9 / 13, rel=1e-15)
     b = BatchMap([(0.5, 0.5, 0.0), (0.5, 0.5, 3.0)], error_model="point", cell_size=1.0, min_distance=1.0)
@@ -168,7 +168,7 @@ def test_eq_16_weighted(model: str) -> None:
 
 
 def test_equal_heights_spread_exactly_nothing() -> None:
-    """0.1 is no float64: the mean must still be exactly it, and m2 exactly 0, after any number of points."""
+    """0.1 is not exact in float64: the mean must still equal it exactly, and m2 be 0, after any number of points."""
     m = cell_of_points(*[0.1] * 1000)
     cell = cells_of(m)[0, 0]
     assert (float(cell["mean"]), float(cell["m2"]), layer(m, "std_dev")) == (0.1, 0.0, 0.0)
@@ -176,7 +176,7 @@ def test_equal_heights_spread_exactly_nothing() -> None:
 
 
 def test_updated_is_the_newest_whole_second() -> None:
-    """Stamps 7.9 s and 3.2 s: 7; a later call with 5 s doesn't take it back."""
+    """Stamps 7.9 s and 3.2 s give 7; a later call with 5 s does not lower it."""
     m = RoughMap(cell_size=1.0, error_model="point", threads=1)
     m.add([(0.5, 0.5, 0), (0.5, 0.5, 0)], stamp_ns=[7_900_000_000, 3_200_000_000])
     m.add([(0.5, 0.5, 0), (1.5, 0.5, 0)], stamp_ns=5_000_000_000)

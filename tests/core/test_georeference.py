@@ -33,7 +33,7 @@ def pose_then(way: Trajectory, t: int, gap_s: float) -> tuple[np.ndarray, Rotati
 
 
 def place(scan: Scan, way: Trajectory, noise: Noise, n: int, gap_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """One point and its covariance, written as the design has it."""
+    """Return one point and its covariance, in the design's notation."""
     t = scan.stamp_ns + (0 if scan.offsets_ns is None else int(scan.offsets_ns[n]))
     found = pose_then(way, t, gap_s)
     assert found is not None
@@ -64,10 +64,10 @@ def test_any_scan(scan: Scan, way: Trajectory, noise: Noise, rules: Limits) -> N
             assert np.isnan(covariance[n]).all()
             continue
         where, S = place(scan, way, noise, n, rules.max_pose_gap)
-        # float64 near 5e6 has steps of 1e-9; levers of up to 30 m add some 1e-14. Rotations by scipy's slerp, with
-        # the library's sine, differ from ours by some 1e-15, near half a turn by 1e-15 / sinc.
+        # float64 near 5e6 has steps of 1e-9; levers of up to 30 m add about 1e-14. scipy's slerp uses the library's
+        # sine and differs by about 1e-15, near half a turn by 1e-15 / sinc.
         np.testing.assert_allclose(points[n], where, rtol=0, atol=4e-9 if abs(where).max() > 1e4 else 1e-11)
-        # Levers come from differences before the position is added: as exact in UTM as at the origin.
+        # Levers are computed before the position is added: as exact in UTM as at the origin.
         np.testing.assert_allclose(covariance[n], S, rtol=0, atol=1e-11 * np.trace(S))
         np.testing.assert_array_equal(covariance[n], covariance[n].T)
 
@@ -85,7 +85,7 @@ def test_the_lever_is_measured_from_the_base() -> None:
     np.testing.assert_array_equal(made[0][0] + np.array((512345.67, 5403210.98, 431.0)), made[1][0])
 
 
-def test_float32_points_are_taken_for_what_they_are() -> None:
+def test_float32_points_equal_their_float64_values() -> None:
     rng = np.random.default_rng(2)
     small = rng.normal(0, 5, (100, 3)).astype(np.float32)
     way = Trajectory([0], [(1, 2, 3)], [(0.1, -0.2, 0.5, 0.8)], np.eye(6)[None] * 1e-4)
@@ -99,7 +99,7 @@ def test_quaternions_are_normalised(scale: float) -> None:
     turn = np.array([0.5, -0.5, 0.5, 0.5])
     scan = Scan([(1.0, 2.0, 3.0)], 0, rotation=turn * scale)
     way = Trajectory([0], [(0, 0, 0)], [turn * scale], np.zeros((1, 6, 6)))
-    # (x, y, z) -> (-y, -z, x)? A third of a turn each: what scipy says of the unit quaternion.
+    # (x, y, z) -> (-y, -z, x)? A third of a turn: the expected values are scipy's for the unit quaternion.
     expected = Rotation.from_quat(turn).apply(Rotation.from_quat(turn).apply((1.0, 2.0, 3.0)))
     points, _, _ = georeference(scan, way, Noise(0.01))
     np.testing.assert_allclose(points[0], expected, rtol=1e-15)
@@ -131,16 +131,17 @@ def test_only_the_upper_triangle_of_a_pose_covariance_is_read() -> None:
     mount=st.sampled_from([None, (0.02, 0.0, 0.01, 0.004, 0.006, 0.01)]),
 )
 def test_monte_carlo(roll: float, yaw: float, tilt: float, mount: tuple[float, ...] | None) -> None:
-    """Errors are drawn and each point is placed with them; the spread must be what eq. 1 says.
+    """Draw errors and place the point with each: the spread must agree with eq. 1.
 
-    100,000 draws know a variance to sqrt(2 / 1e5) = 0.45 percent and a correlation to 0.32 percent; six numbers, 30
-    examples, so five of these: 2.3 percent of sqrt(Sii Sjj). Angles of at most 0.02 put second-order terms at 0.02^2.
+    100,000 draws give a variance to sqrt(2 / 1e5) = 0.45 percent and a correlation to 0.32 percent, one sigma. With six
+    numbers and 30 examples the tolerance is five sigmas: 2.3 percent of sqrt(Sii Sjj). Angles of at most 0.02 put
+    second-order terms at 0.02^2.
     """
     rng = np.random.default_rng(4)
     number = 100_000
     axes = np.linalg.qr(rng.normal(size=(6, 6)))[0]
     sigma = np.array([0.02, 0.03, 0.01, 0.01, 0.005, 0.02])
-    mixed = axes @ np.diag(sigma) @ axes.T  # its square is the covariance, mixing places and angles
+    mixed = axes @ np.diag(sigma) @ axes.T  # its square is the covariance, mixing positions and angles
     scale = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
     S_pose = (scale[:, None] * mixed) @ (scale[:, None] * mixed).T
     turn, mounted = Rotation.from_euler("xz", [roll, yaw]), Rotation.from_euler("y", tilt)
@@ -162,12 +163,12 @@ def test_monte_carlo(roll: float, yaw: float, tilt: float, mount: tuple[float, .
     said, found = covariance[0], np.cov(seen.T)
     spread = np.sqrt(np.diag(said))
     assert np.abs((found - said) / np.outer(spread, spread)).max() < 0.023
-    # The mean: 5 / sqrt(1e5) = 0.016 sigmas by chance, and half a square of the angles times the lever, 1 mm.
+    # The mean is off by 5 / sqrt(1e5) = 0.016 sigmas by chance, and by half the squared angle times the lever, 1 mm.
     np.testing.assert_allclose(seen.mean(axis=0), points[0], rtol=0, atol=0.016 * spread.max() + 1e-3)
 
 
-def test_a_sphere_of_errors_stays_one() -> None:
-    """range_sigma = beam_sigma r makes the scanner's error round, so that no turn can change it."""
+def test_a_sphere_of_errors_stays_a_sphere() -> None:
+    """range_sigma = beam_sigma r makes the scanner's error a sphere, which no rotation changes."""
     scan = Scan([(0.0, 3.0, 4.0)], 0, rotation=(0.3, 0.1, -0.7, 0.2))
     way = Trajectory([0], [(9, 9, 9)], [(0.1, -0.2, 0.5, 0.8)], np.zeros((1, 6, 6)))
     _, covariance, reason = georeference(scan, way, Noise(0.05, beam_sigma=0.01))

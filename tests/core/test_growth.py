@@ -1,4 +1,4 @@
-"""Tables that grow: in order whatever came when, and as they were where there is no memory for more."""
+"""Growing tables: ordered for any order of insertion, and unchanged if memory runs out."""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +17,7 @@ TILE = st.tuples(st.integers(-(2**25), 2**25 - 1), st.integers(-3, 3))
 
 
 def failing(number: int, true: Callable[..., Any]) -> Callable[..., Any]:
-    """The function ``true``, for which there is no memory at its call ``number``."""
+    """Return the function ``true``, which raises MemoryError at call ``number``."""
     calls = iter(range(1000))
 
     def call(*args: Any) -> Any:
@@ -30,7 +30,7 @@ def failing(number: int, true: Callable[..., Any]) -> Callable[..., Any]:
 
 @settings(deadline=None, max_examples=50)
 @given(st.lists(st.lists(TILE, max_size=40), max_size=8))
-def test_all_tiles_stand_in_order_however_they_came(rounds: list[list[tuple[int, int]]]) -> None:
+def test_tiles_are_sorted_for_any_order_of_insertion(rounds: list[list[tuple[int, int]]]) -> None:
     index = LevelIndex()
     known: dict[tuple[int, int], int] = {}
     for number, came in enumerate(rounds):

@@ -1,4 +1,4 @@
-"""Compiled kernels are kept on disk, and made anew when any source changed of which they may be made."""
+"""Compiled kernels are cached on disk, and compiled again when any source they may depend on changes."""
 
 import os
 import shutil
@@ -10,16 +10,16 @@ import roughmap
 
 PROGRAM = """
 import numpy as np
-from roughmap.trajectory import Trajectory, _half_angles
-turned = np.array([[0, 0, 0, 1], [0, 0, 1, 0]])  # by half a turn: the quaternions are a quarter apart
+from roughmap.points.trajectory import Trajectory, _half_angles
+turned = np.array([[0, 0, 0, 1], [0, 0, 1, 0]])  # half a turn: the quaternions are a quarter turn apart
 angles = Trajectory([0, 1], np.zeros((2, 3)), turned, np.zeros((2, 6, 6))).arrays[4]
 print(angles[0], sum(_half_angles.stats.cache_hits.values()))
 """
 
 
 def run(folder: Path, **more: str) -> tuple[float, bool]:
-    """The angle of half a turn by the package in ``folder``, and whether the kernel came from disk."""
-    # The current folder stands before all others in the search for modules.
+    """Return the angle of half a turn from the package in ``folder``, and whether the kernel came from disk."""
+    # The current folder comes first in the search for modules.
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM],
@@ -36,13 +36,13 @@ def run(folder: Path, **more: str) -> tuple[float, bool]:
 
 
 def test_a_change_in_a_helper_of_another_file_counts(tmp_path: Path) -> None:
-    """`_half_angles` stands in trajectory.py, and the arc tangent that is compiled into it in poly.py."""
+    """`_half_angles` is in trajectory.py; the arc tangent that is compiled into it is in poly.py."""
     package = Path(roughmap.__file__).parent
     shutil.copytree(package, tmp_path / "roughmap", ignore=shutil.ignore_patterns("__pycache__"))
     angle, kept = run(tmp_path)
     assert (round(angle, 12), kept) == (1.570796326795, False)
     assert run(tmp_path) == (angle, True)
-    helper = tmp_path / "roughmap" / "poly.py"
+    helper = tmp_path / "roughmap" / "points" / "poly.py"
     text = helper.read_text()
     changed = text.replace("0.25 * math.pi", "0.75 * math.pi")
     assert changed != text
@@ -52,16 +52,16 @@ def test_a_change_in_a_helper_of_another_file_counts(tmp_path: Path) -> None:
 
 
 def test_kernels_beside_the_source_serve_another_folder(tmp_path: Path) -> None:
-    """As in an image: its kernels are read where they came, and what they don't serve is kept where can be written."""
+    """As in a container image: shipped kernels are read in place, and new ones are saved to the writable folder."""
     package = Path(roughmap.__file__).parent
     shutil.copytree(package, tmp_path / "roughmap", ignore=shutil.ignore_patterns("__pycache__"))
     own = tmp_path / "own"
     angle, _ = run(tmp_path)
-    beside = sorted((tmp_path / "roughmap" / "__pycache__").glob("*.nb?"))
+    beside = sorted((tmp_path / "roughmap" / "points" / "__pycache__").glob("*.nb?"))
     assert run(tmp_path, NUMBA_CACHE_DIR=str(own)) == (angle, True)
     assert not list(own.rglob("*.nb?"))
     other = {"NUMBA_CACHE_DIR": str(own), "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
     assert run(tmp_path, **other) == (angle, False)
     assert list(own.rglob("*.nbc"))
     assert run(tmp_path, **other) == (angle, True)
-    assert sorted((tmp_path / "roughmap" / "__pycache__").glob("*.nb?")) == beside
+    assert sorted((tmp_path / "roughmap" / "points" / "__pycache__").glob("*.nb?")) == beside

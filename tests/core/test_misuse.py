@@ -1,4 +1,4 @@
-"""What is refused with ValueError, saying what was expected; and that nothing has changed then."""
+"""Invalid arguments raise ValueError that names what was expected, and change nothing."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,7 +16,7 @@ ONE = [(0.0, 0.0, 0.0)]
 
 @pytest.fixture
 def m() -> RoughMap:
-    """With something in it, so that there is something to change."""
+    """Return a map that is not empty, so that a change would show."""
     m = RoughMap(threads=1)
     m.add([(0.07, -0.01, 1.0), (9.0, 3.0, 2.0)], S, stamp_ns=5 * SECOND_NS)
     return m
@@ -62,18 +62,18 @@ def test_add(m: RoughMap, name: str) -> None:
 
 SINCE: dict[str, Callable[[RoughMap], Any]] = {
     "done already": lambda m: m.add(ONE, S),
-    "another prepared": lambda m: m.prepare(ONE, S),
+    "another prepared": lambda m: m.prepare_points(ONE, S),
     "emptied": lambda m: m.reset(),
     "a tile loaded": lambda m: m.load_tile(50, 50, np.ones(4096, CELL_DTYPE), 0, 0),
 }
 
 
 @pytest.mark.parametrize("name", SINCE)
-def test_what_was_prepared_for_another_state(m: RoughMap, name: str) -> None:
-    prepared = m.prepare(ONE * 2, S)
+def test_points_prepared_for_another_state(m: RoughMap, name: str) -> None:
+    prepared = m.prepare_points(ONE * 2, S)
     SINCE[name](m)
     before = state_of(m)
-    with pytest.raises(ValueError, match="expected what was prepared last"):
+    with pytest.raises(ValueError, match="expected the points prepared last"):
         m.integrate(prepared)
     assert state_of(m) == before
 
@@ -139,7 +139,7 @@ def test_freeze(m: RoughMap, level: Any) -> None:
         ({"threads": 1.0}, "threads"),
     ],
 )
-def test_a_map_that_cannot_be(options: dict[str, Any], message: str) -> None:
+def test_invalid_settings(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         RoughMap(**options)
 
@@ -161,8 +161,8 @@ UNIT = (0.0, 0.0, 0.0, 1.0)
         (lambda: Scan(ONE, 0, rotation=(0, 0, 0)), r"Scan\.rotation: .*\(4,\)"),
         (lambda: Scan(ONE, 0, rotation=(0, 0, np.inf, 0)), r"Scan\.rotation: .*finite"),
         (lambda: Trajectory([], np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6, 6))), "at least one"),
-        (lambda: Trajectory([1, 1], np.zeros((2, 3)), [UNIT] * 2, np.zeros((2, 6, 6))), "strictly rising"),
-        (lambda: Trajectory([1, 0], np.zeros((2, 3)), [UNIT] * 2, np.zeros((2, 6, 6))), "strictly rising"),
+        (lambda: Trajectory([1, 1], np.zeros((2, 3)), [UNIT] * 2, np.zeros((2, 6, 6))), "strictly increasing"),
+        (lambda: Trajectory([1, 0], np.zeros((2, 3)), [UNIT] * 2, np.zeros((2, 6, 6))), "strictly increasing"),
         (lambda: Trajectory([0.5], np.zeros((1, 3)), [UNIT], np.zeros((1, 6, 6))), r"Trajectory\.stamp_ns"),
         (lambda: Trajectory([-(2**63), 2**63 - 1], np.zeros((2, 3)), [UNIT] * 2, np.zeros((2, 6, 6))), r"2\^62"),
         (lambda: Trajectory([0], np.zeros((2, 3)), [UNIT], np.zeros((1, 6, 6))), r"Trajectory\.position"),
@@ -184,13 +184,13 @@ UNIT = (0.0, 0.0, 0.0, 1.0)
         (lambda: Limits(exclude=((0, 0, 2, 1, 1, 1),)), r"Limits\.exclude: .*min <= max"),
     ],
 )
-def test_what_describes_a_scan(make: Callable[[], Any], message: str) -> None:
+def test_invalid_scans(make: Callable[[], Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
 
 
-def test_nothing_is_something_else_than_a_mistake(m: RoughMap) -> None:
-    """No points, no returns: an empty report, and no new sequence."""
+def test_empty_input_is_valid(m: RoughMap) -> None:
+    """No points or no returns: an empty report and no new sequence."""
     before = state_of(m)
     for report in (
         m.add(np.zeros((0, 3)), S),

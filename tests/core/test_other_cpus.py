@@ -1,4 +1,4 @@
-"""One architecture, one digest: whatever the extensions of the CPU, whatever the C library chooses, any threads."""
+"""One digest per architecture, for any CPU extensions, any variants of C library functions and any threads."""
 
 import json
 import os
@@ -16,10 +16,10 @@ HIDDEN = "glibc.cpu.hwcaps=" + ",".join(
     f"-{name}"
     for name in ("AVX512F", "AVX512VL", "AVX512DQ", "AVX512BW", "AVX2", "AVX", "FMA", "FMA4", "ERMS", "BMI2", "SSE4_1")
 )
-"""What glibc chooses variants of its functions by. Other C libraries don't look at it."""
+"""Selects the function variants of glibc. Other C libraries ignore it."""
 
 GENERIC = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
-"""Kernels for the architecture's least: on x86-64 no AVX and no FMA."""
+"""Kernels for the baseline of the architecture: on x86-64 no AVX and no FMA."""
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def here() -> dict[str, str]:
 
 
 def elsewhere(**environment: str) -> dict[str, object]:
-    """What the program says in a process of its own."""
+    """Run the program in a process of its own and return its output."""
     made = subprocess.run(
         [sys.executable, str(PROGRAM)],
         env={**os.environ, **environment},
@@ -42,8 +42,8 @@ def elsewhere(**environment: str) -> dict[str, object]:
     return said
 
 
-def test_the_ways_and_models_differ(here: dict[str, str]) -> None:
-    """The digests tell maps apart: twelve runs, six maps, each with one thread and with two."""
+def test_methods_and_models_differ(here: dict[str, str]) -> None:
+    """The digests distinguish maps: twelve runs give six maps, each with one thread and with two."""
     assert len(here) == 12
     assert len(set(here.values())) == 6
     for name, digest in here.items():
@@ -53,7 +53,7 @@ def test_the_ways_and_models_differ(here: dict[str, str]) -> None:
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="hides extensions of x86-64")
 @pytest.mark.timeout(220)
 def test_without_avx_and_fma(here: dict[str, str], tmp_path: Path) -> None:
-    """Neither in our kernels, which are compiled anew, nor in the C library."""
+    """Neither in the kernels, which are compiled again, nor in the C library."""
     said = elsewhere(NUMBA_CACHE_DIR=str(tmp_path), GLIBC_TUNABLES=HIDDEN, **GENERIC)
     assert said["cpu"] == "generic"
     assert "+avx" not in str(said["features"])
@@ -63,5 +63,5 @@ def test_without_avx_and_fma(here: dict[str, str], tmp_path: Path) -> None:
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="hides extensions of x86-64")
 def test_another_variant_of_the_c_library(here: dict[str, str]) -> None:
-    """The same compiled kernels over a C library that takes its plainest functions."""
+    """The same compiled kernels with the C library's simplest function variants."""
     assert elsewhere(GLIBC_TUNABLES=HIDDEN)["digests"] == here

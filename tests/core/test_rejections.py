@@ -1,4 +1,4 @@
-"""Why points are rejected: each reason alone, and which comes first when several hold."""
+"""Why points are rejected: each reason alone, and which comes first if several apply."""
 
 from collections import Counter
 
@@ -22,13 +22,13 @@ def test_the_names_in_their_order() -> None:
 
 
 def rejected_for(faults: set[str], model: str, moving: bool) -> dict[str, int]:
-    """What becomes of a point with all of these faults and no others."""
+    """Return the result for a point with exactly these faults."""
     point = [3.0, 0.5, 0.2]
     if "no_return" in faults:
         point = [0.0, 0.0, 0.0]
     if "not_finite" in faults:
         point[1] = np.nan
-    # All poses after the point's time, or around it.
+    # All poses come after the point's time, or lie around it.
     stamps = START_NS + np.array([1, 2] if "no_pose" in faults else [-1, 1]) * SECOND_NS
     S = np.diag([1e-4] * 3 + [0.0] * 3)
     S[0, 0] = 100.0 if "uncertain" in faults else 1e-4
@@ -80,20 +80,20 @@ def test_not_finite_on_either_way_in(axis: int, value: float, model: str) -> Non
     point[0, axis] = value
     m = RoughMap(error_model=model, threads=1)
     assert m.add(point, np.eye(3) * 1e-4).rejected == {"not_finite": 1}
-    # A fault of the point comes before one of its covariance, its time or its place.
+    # A fault of the point precedes one of its covariance, its time or its position.
     fenced = RoughMap(error_model=model, threads=1, bounds=(50, 50, 60, 60))
     assert fenced.add(point, -np.eye(3), offsets_ns=[-1]).rejected == {"not_finite": 1}
 
 
 def still(point: tuple[float, float, float], rules: Limits, **mounting: object) -> str:
-    """The reason for which one point is rejected, seen by a robot at the map's origin."""
+    """Return why one point is rejected, for a robot at the map's origin."""
     way = Trajectory([0], [(0, 0, 0)], [(0, 0, 0, 1)], np.zeros((1, 6, 6)))
     _, _, reason = georeference(Scan([point], 0, **mounting), way, Noise(0.01), rules)
     return REASON_NAMES[reason[0]]
 
 
-def test_limits_themselves_are_kept() -> None:
-    """(3, 4, 12) is 13 m away, exactly, 5 m of it level."""
+def test_limits_are_inclusive() -> None:
+    """(3, 4, 12) is exactly 13 m away, 5 m of it horizontally."""
     p = (3.0, 4.0, 12.0)
     assert still(p, Limits(min_range=13.0, max_range=13.0)) == ""
     assert still(p, Limits(min_range=np.nextafter(13.0, 14.0))) == "range"
@@ -104,18 +104,18 @@ def test_limits_themselves_are_kept() -> None:
     assert still(p, Limits(exclude=((0, 0, 0, 3, 4, 11.9), (3.1, 0, 0, 9, 9, 19)))) == ""
 
 
-def test_boxes_stand_in_the_robots_frame_and_the_ceiling_in_the_maps() -> None:
-    """The sensor hangs head over heels 1 m above the base: its (1, 0.5, 2) is (1, -0.5, -1) of the robot."""
+def test_boxes_are_in_the_robots_frame_and_the_ceiling_in_the_maps() -> None:
+    """The sensor hangs upside down 1 m above the base: its (1, 0.5, 2) is (1, -0.5, -1) in the robot's frame."""
     mounting = {"translation": (0, 0, 1), "rotation": (1, 0, 0, 0)}
     assert still((1, 0.5, 2), Limits(exclude=((0.9, -0.6, -1.1, 1.1, -0.4, -0.9),)), **mounting) == "self"
     assert still((1, 0.5, 2), Limits(exclude=((0.9, 0.4, 1.9, 1.1, 0.6, 2.1),)), **mounting) == ""
-    # 2 m below the sensor, whatever the sensor says.
+    # 2 m below the sensor in the map, 2 m above it in the sensor's frame.
     assert still((1, 0.5, 2), Limits(ceiling=-1.9), **mounting) == ""
     assert still((1, 0.5, -2), Limits(ceiling=1.9), **mounting) == "ceiling"
 
 
 def test_times() -> None:
-    """From 0 to one second after the stamp; the sum before 2^32 s."""
+    """Offsets from 0 to one second after the stamp; the sum stays below 2^32 s."""
     m = RoughMap(error_model="point", threads=1)
     report = m.add(np.zeros((4, 3)), stamp_ns=5, offsets_ns=[-1, 0, SECOND_NS, SECOND_NS + 1])
     assert (report.accepted, report.rejected) == (2, {"time": 2})
@@ -128,8 +128,8 @@ def test_times() -> None:
     assert georeference(scan, way, Noise(0.01))[2].tolist() == [PointReason.TIME, 0, 0, PointReason.TIME]
 
 
-def test_uncertain_is_measured_level_and_with_coverage() -> None:
-    """k = 2 and sigma 0.25 is 0.5 m exactly, which is allowed; along z anything is."""
+def test_uncertain_is_measured_horizontally_and_with_coverage() -> None:
+    """k = 2 and sigma 0.25 give exactly 0.5 m, which is allowed; along z there is no limit."""
     m = RoughMap(threads=1, coverage=2.0, max_horizontal_radius=0.5)
     S = np.zeros((5, 3, 3))
     over = np.nextafter(0.25, 1.0)
@@ -148,7 +148,7 @@ def test_uncertain_is_measured_level_and_with_coverage() -> None:
 def test_eigenvalues_a_little_below_zero(
     model: str, seed: int, sigma: tuple[float, float, float], below: float
 ) -> None:
-    """An eigenvalue down to -1e-9 of the trace is rounding; one below is no covariance, in any direction."""
+    """An eigenvalue down to -1e-9 of the trace is accepted; a lower one, in any direction, is not."""
     axes = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
     S = turned(axes, np.asarray(sigma))
     least = axes[:, 0]

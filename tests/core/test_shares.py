@@ -1,4 +1,4 @@
-"""Shares of a point in cells (eq. 12): they add up to 1, and are what quadrature or plain overlap says."""
+"""Shares of a point in cells (eq. 12): they add up to 1, and agree with quadrature or plain overlap."""
 
 from fractions import Fraction
 from math import floor, pi, sqrt
@@ -14,7 +14,7 @@ from roughmap import RoughMap
 NODES, FACTORS = np.polynomial.legendre.leggauss(48)
 
 K, LEAST = 2.0, 1e-3
-"""Coverage and least radius of all maps here."""
+"""Coverage and smallest radius of all maps in this file."""
 
 
 def one_point(model: str, where: np.ndarray, S: np.ndarray, **options: object) -> RoughMap:
@@ -25,17 +25,17 @@ def one_point(model: str, where: np.ndarray, S: np.ndarray, **options: object) -
 
 
 def solid(S: np.ndarray) -> np.ndarray:
-    """S with its eigenvalues raised to (min_radius / k)^2 where one is below."""
+    """Return S with its eigenvalues raised to at least (min_radius / k)^2."""
     values, axes = np.linalg.eigh(S)
     least = (LEAST / K) ** 2
     return S if values[0] >= least else (axes * np.maximum(values, least)) @ axes.T
 
 
 def ellipse_in(S: np.ndarray, left: float, right: float, bottom: float, top: float) -> float:
-    """The part of the k-sigma ellipse of S around 0 that lies in a rectangle, by Gauss-Legendre quadrature.
+    """Return the share of the k-sigma ellipse of S around 0 in a rectangle, by Gauss-Legendre quadrature.
 
-    In u = x / (k sx) = sin t the chord runs from rho u - beta cos t to rho u + beta cos t: smooth between the places
-    where an arc meets a side, which are cut at.
+    In u = x / (k sx) = sin t the chord runs from rho u - beta cos t to rho u + beta cos t. It is smooth except where an
+    arc meets a side, and the integral is split there.
     """
     ex, ey = K * sqrt(S[0, 0]), K * sqrt(S[1, 1])
     rho = S[0, 1] / sqrt(S[0, 0] * S[1, 1])
@@ -56,11 +56,11 @@ def ellipse_in(S: np.ndarray, left: float, right: float, bottom: float, top: flo
 
 
 def check_ellipse(where: np.ndarray, S: np.ndarray, a: float) -> int:
-    """All shares of one ellipse; how many cells it has."""
+    """Check all shares of one ellipse; return its number of cells."""
     shares = shares_of(one_point("ellipsoid", where, S, cell_size=a))
     body = solid(S)
-    # Of a needle of 0.5 m by 1e-3 m beta is 2e-3: areas in its units are rounding of 1e-16 over beta. What is left
-    # of the position after the cell's edge is taken off is good to the spacing of floats there, over the half width.
+    # A needle of 0.5 m by 1e-3 m has beta 2e-3: areas in its units are off by 1e-16 over beta. The position relative to
+    # the cell's edge is off by the spacing of floats there, over the half width.
     beta = sqrt(max(np.linalg.det(body[:2, :2]) / (body[0, 0] * body[1, 1]), 1e-12))
     narrow = K * sqrt(np.linalg.eigvalsh(body[:2, :2])[0])
     off = 1e-13 / beta + 4 * np.spacing(np.abs(where[:2]).max() + 1.0) / narrow
@@ -78,7 +78,7 @@ def check_ellipse(where: np.ndarray, S: np.ndarray, a: float) -> int:
 @settings(deadline=None, max_examples=150)
 @given(data=st.data(), a=st.sampled_from([0.02, 0.1, 0.25, 1.0]))
 def test_ellipses(data: st.DataObject, a: float) -> None:
-    """Round, flat and needle-like ones, at the origin and in UTM."""
+    """Round, flat and needle-like ellipses, at the origin and in UTM."""
     where = data.draw(points(1))[0]
     S = data.draw(covariances(1, 1e-4, 0.2))[0]
     check_ellipse(where, S, a)
@@ -91,7 +91,7 @@ def test_ellipses(data: st.DataObject, a: float) -> None:
     angle=st.sampled_from([0.0, 1e-9, 0.3, pi / 4, pi / 2]),
 )
 def test_slivers(dx: float, dy: float, angle: float) -> None:
-    """Half widths 0.02 and 0.01 about a corner of four cells, so that they touch, barely cross or miss its sides."""
+    """Half widths 0.02 and 0.01 near a corner of four cells: the ellipse touches, barely crosses or misses sides."""
     c, s = np.cos(angle), np.sin(angle)
     S = turned(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.array([0.005, 0.01, 0.02]))
     check_ellipse(np.array([0.5 + dx, -0.25 + dy, 1.0]), S, 0.25)
@@ -103,7 +103,7 @@ def test_an_ellipse_inside_one_cell_is_whole() -> None:
 
 
 def test_a_cell_inside_an_ellipse_is_filled() -> None:
-    """A cell that the ellipse covers has its area over pi k^2 sx sy; an ellipse over some 2,000 cells."""
+    """A cell inside the ellipse has its area over pi k^2 sx sy as share; the ellipse covers about 2,000 cells."""
     S = turned(np.eye(3), np.array([0.2, 0.15, 0.05]))
     where = np.array([0.013, 0.007, 1.0])
     shares = shares_of(one_point("ellipsoid", where, S, cell_size=0.02))
@@ -113,14 +113,14 @@ def test_a_cell_inside_an_ellipse_is_filled() -> None:
 
 @pytest.mark.parametrize("rho", [0.9999, 1 - 1e-9, 1.0, -1.0])
 def test_near_degenerate_ellipses(rho: float) -> None:
-    """A line from corner to corner: the least radius gives it a body, 1 mm thick, whose shares add up."""
+    """A line from corner to corner: the smallest radius makes it 1 mm thick, and its shares add up."""
     S = np.diag([0.01, 0.01, 0.01])
     S[0, 1] = S[1, 0] = rho * 0.01
     check_ellipse(np.array([0.05, 0.02, 1.0]), S, 0.1)
 
 
 def test_no_spread_at_all_is_a_small_sphere() -> None:
-    """Zeros are raised to 1 mm: on a border the halves lie left and right."""
+    """Zero sigmas are raised to 1 mm: on a border half lies left and half right."""
     shares = shares_of(one_point("ellipsoid", np.array([0.25, 0.1, 1.0]), np.zeros((3, 3)), cell_size=0.25))
     assert shares == {(0, 0): pytest.approx(0.5, abs=1e-13), (1, 0): pytest.approx(0.5, abs=1e-13)}
 
@@ -131,7 +131,7 @@ def test_no_spread_at_all_is_a_small_sphere() -> None:
     where=points(1).map(lambda p: p[0]), sigma=st.tuples(*[st.floats(1e-4, 0.2)] * 2), a=st.sampled_from([0.1, 0.25])
 )
 def test_cuboids(where: np.ndarray, sigma: tuple[float, float], a: float) -> None:
-    """Overlap by fractions, without any rounding, of the same edges (the products i*a) and radii."""
+    """The overlap in exact fractions, of the same edges (the float products i*a) and radii."""
     shares = shares_of(one_point("cuboid", where, np.diag([*np.square(sigma), 1e-4]), cell_size=a))
     assert sum(shares.values()) == pytest.approx(1.0, abs=1e-14 + len(shares) * 1e-12)
     radius = [max(K * sqrt(s * s), LEAST) for s in sigma]
@@ -141,11 +141,11 @@ def test_cuboids(where: np.ndarray, sigma: tuple[float, float], a: float) -> Non
         first = floor((where[axis] - radius[axis]) / a)
         line = {}
         for i in range(first - 1, floor((where[axis] + radius[axis]) / a) + 2):
-            # The edges as products of floats, as they are laid down.
+            # The edges are products of floats, as in the contract.
             low, high = max(Fraction(i * a), x - r), min(Fraction((i + 1) * a), x + r)
             line[i] = max(high - low, Fraction(0)) / (2 * r)
         parts.append(line)
-    # A difference of two floats is off by half a spacing, and there are two of them; over the width.
+    # Two differences of floats, each off by half a spacing, over the width.
     off = 2e-15 + 2 * np.spacing(np.abs(where[:2]).max() + 1) / min(radius)
     for i, px in parts[0].items():
         for j, py in parts[1].items():
@@ -162,7 +162,7 @@ def test_cuboids(where: np.ndarray, sigma: tuple[float, float], a: float) -> Non
 def test_min_share_leaves_out_and_changes_nothing_else(
     model: str, data: st.DataObject, min_share: float, centre: tuple[float, float, float]
 ) -> None:
-    """What takes part has the same bytes as with 0; what doesn't has less than min_share of the largest."""
+    """Cells that count have the same bytes as with 0; the others have less than min_share of the largest share."""
     where = data.draw(points(1, [centre]))[0]
     S = data.draw(covariances(1, 1e-3, 0.2))[0]
     all_cells = cells_of(one_point(model, where, S))

@@ -1,4 +1,4 @@
-"""The contract's worked cells, all numbers to the printed digits, through the running update and the reading."""
+"""The contract's worked cells, to the printed digits, through the running update and the layers."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ COVARIANCE = np.stack([LONG, LONG, np.diag([1.0, 1.0, 4.0]) * 1e-4])
 
 OTHERS = {"point": {(6, -3)}, "cuboid": {(6, -3), (5, -2), (6, -2)}, "ellipsoid": {(6, -3), (5, -2)}}
 
-STATE = {
+STATE_VALUES = {
     # count, weight, weight_sq, mean, m2, min, max, inv_cf
     "point": ("2", "2", "2", "10.015", "4.5e-4", "10.00", "10.03", "1004444.44444"),
     "cuboid": (
@@ -23,7 +23,7 @@ STATE = {
     ),
 }  # fmt: skip
 
-LAYERS = {
+LAYER_VALUES = {
     # std_dev, expected_count, confidence_level, confidence_factor
     "point": ("0.0212132034356", "2", "0.904419295454", "9.95575221239e-7"),
     "cuboid": ("0.0460023501162", "1.28030303030", "0.461390349327", "8.13514923946e-10"),
@@ -35,7 +35,7 @@ LAYER_NAMES = ("std_dev", "expected_count", "confidence_level", "confidence_fact
 
 
 def says(value: float, printed: str) -> bool:
-    """Whether ``value`` is ``printed`` within half a unit of its last digit; a short number is meant exactly.
+    """Whether ``value`` equals ``printed`` within half a unit of its last digit; a short number is exact.
 
     Exact ones get 1e-11 of their size: m2 is a sum of squares of differences of heights near 10, whose rounding of
     1e-15 is 1e-13 of a difference of 0.01.
@@ -59,16 +59,16 @@ def built(model: str) -> RoughMap:
 def test_the_state(model: str) -> None:
     cells = cells_of(built(model))
     assert set(cells) == {(5, -3)} | OTHERS[model]
-    for name, printed in zip(STATE_NAMES, STATE[model], strict=True):
+    for name, printed in zip(STATE_NAMES, STATE_VALUES[model], strict=True):
         assert says(float(cells[5, -3][name]), printed), (name, cells[5, -3][name], printed)
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_the_layers(model: str) -> None:
-    # The middle of the cell, so that no rounding of its edges matters.
+    # The middle of the cell, so that rounding of its edges does not matter.
     r = built(model).region((0.51, -0.29, 0.59, -0.21), LAYER_NAMES, height_tolerance=0.05)
     assert r.cells == (5, -3, 6, -2)
-    for name, printed in zip(LAYER_NAMES, LAYERS[model], strict=True):
+    for name, printed in zip(LAYER_NAMES, LAYER_VALUES[model], strict=True):
         assert says(r[name][0, 0], printed), (name, r[name][0, 0], printed)
 
 

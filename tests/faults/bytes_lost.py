@@ -10,23 +10,15 @@ from pathlib import Path
 import numpy as np
 from mcap.records import Message
 from report import Trial
-from service_tools import WAIT_S, Run, config, inputs_of
+from service_tools import WAIT_S, LoggedRun, config, inputs_of
 
 from roughmap import RoughMap
 from roughmap_schemas.kinds import Kind
 from roughmap_service.engine.recovery import recover
-from roughmap_service.journal.reader import (
-    DamagedLog,
-    FileStart,
-    LogError,
-    LogItem,
-    TornLog,
-    find_files,
-    one_run,
-    raw_records,
-    read_run,
-)
+from roughmap_service.journal.reader import DamagedLog, LogError, TornLog, raw_records
+from roughmap_service.journal.records import FileStart, LogItem
 from roughmap_service.journal.repair import repair
+from roughmap_service.journal.run_files import find_files, one_run, read_run
 from roughmap_service.store.map_db import Store, StoreError
 
 LAST = 64 * 1024
@@ -36,7 +28,7 @@ FOOTER = 8 * 1024
 """The same for one that was closed in order: its data are cut as the other's are, what stands behind them is not."""
 
 
-def _drive(run: Run, first: int, scans: int, rng: np.random.Generator, points: int) -> None:
+def _drive(run: LoggedRun, first: int, scans: int, rng: np.random.Generator, points: int) -> None:
     """Scans of a size, with a reset, a checkpoint and a cloud without poses among them."""
     from service_tools import cloud
 
@@ -54,7 +46,7 @@ def _drive(run: Run, first: int, scans: int, rng: np.random.Generator, points: i
 def _log(folder: Path, rng: random.Random, *, closed: bool, points: int = 1200) -> Path:
     """A run over two files, the last of which is a little longer than `LAST`, closed or as a kill leaves it."""
     numbers = np.random.default_rng(rng.randrange(1 << 30))
-    with Run(folder / "whole") as run:
+    with LoggedRun(folder / "whole") as run:
         _drive(run, 0, 2, numbers, 50)
         run.reset()
         run.rotate()
@@ -104,7 +96,7 @@ def _cut_all(trial: Trial, folder: Path, rng: random.Random, number: int | None,
             if len(there) != before:  # what a run comes to depends on nothing but the messages that are left of it
                 items, back = _items(work), recover(config(), work, None)
                 trial.expect(items == whole[: len(items)], f"{where}: the run is not the beginning of what was written")
-                trial.expect(back.state.input == len(inputs_of(items)), f"{where}: recovered to {back.state.input}")
+                trial.expect(back.run.input == len(inputs_of(items)), f"{where}: recovered to {back.run.input}")
                 trial.note("recovered whole")
         except Exception as error:  # noqa: BLE001 - whatever it was, a start would fail
             trial.expect(False, f"{where}: {type(error).__name__}: {error}")
@@ -139,7 +131,7 @@ def log_flips(trial: Trial, folder: Path, rng: random.Random, number: int) -> No
     """Flip one bit of a closed log: what is read is what was written, or the damage is named; a start goes on."""
     log = _log(folder, rng, closed=True, points=20)
     whole = _items(log)
-    digest = recover(config(), log, None).state.map.digest()
+    digest = recover(config(), log, None).run.map.digest()
     files = sorted(log.glob("*.mcap"))
     work = folder / "work"
     logging.disable(logging.ERROR)
@@ -164,7 +156,7 @@ def log_flips(trial: Trial, folder: Path, rng: random.Random, number: int) -> No
             back = recover(config(), work, None)
             items = _items(work)
             trial.expect(items == whole[: len(items)], f"{where}: a start takes up what was not written")
-            trial.expect(len(items) < len(whole) or back.state.map.digest() == digest, f"{where}: another map")
+            trial.expect(len(items) < len(whole) or back.run.map.digest() == digest, f"{where}: another map")
         except DamagedLog as error:
             trial.expect(file.name in str(error), f"{where}: not named: {error}")
             trial.note("left to the operator")
@@ -183,11 +175,11 @@ def store_flips(trial: Trial, folder: Path, rng: random.Random, number: int) -> 
     """Flip one bit of the store: the map is that of the log, or the damage is named."""
     numbers = np.random.default_rng(rng.randrange(1 << 30))
     store = Store(folder / "map.db")
-    with Run(folder / "whole", store=store) as run:
+    with LoggedRun(folder / "whole", store=store) as run:
         _drive(run, 0, 6, numbers, 300)
         run.snapshot()
         _drive(run, 10, 2, numbers, 300)
-        digest, stamps = run.state.map.digest(), _stamps(run.state.map)
+        digest, stamps = run.run.map.digest(), _stamps(run.run.map)
     content = store.path.read_bytes()
     work = folder / "work"
     logging.disable(logging.ERROR)
@@ -202,8 +194,8 @@ def store_flips(trial: Trial, folder: Path, rng: random.Random, number: int) -> 
         where = f"bit {bit} of byte {at} of the store ({len(data)} bytes)"
         try:
             back = recover(config(), work / "log", flipped)
-            trial.expect(back.state.map.digest() == digest, f"{where}: another map")
-            trial.expect(_stamps(back.state.map) == stamps, f"{where}: tiles of other times")
+            trial.expect(back.run.map.digest() == digest, f"{where}: another map")
+            trial.expect(_stamps(back.run.map) == stamps, f"{where}: tiles of other times")
             trial.note("without a bearing on the map" if back.cut is not None else "built anew from the log")
         except StoreError as error:
             trial.expect(str(flipped.path) in str(error), f"{where}: not named: {error}")

@@ -13,7 +13,7 @@ from load import Fleet, settings
 from processes import COMMAND, STOP_S, Service, environment
 from report import Trial
 
-from roughmap_service.journal.reader import find_files, one_run
+from roughmap_service.journal.run_files import find_files, one_run
 
 CHAIN = 5
 """Kills of one run, each after a restart from what the last one left; then the run ends in order."""

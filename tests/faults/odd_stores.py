@@ -6,10 +6,11 @@ import shutil
 from pathlib import Path
 
 from report import Trial
-from service_tools import Run, config
+from service_tools import LoggedRun, config
 
 from roughmap_service.engine.recovery import recover
-from roughmap_service.journal.reader import LogError, find_files
+from roughmap_service.journal.reader import LogError
+from roughmap_service.journal.run_files import find_files
 from roughmap_service.store.map_db import Store
 
 
@@ -19,14 +20,14 @@ def odd_stores(trial: Trial, folder: Path, rng: random.Random, number: int) -> N
     store = Store(folder / "map.db")
     snapshots: list[Path] = []
     digests: list[str] = []
-    with Run(folder / "log", store=store) as run:
+    with LoggedRun(folder / "log", store=store) as run:
         for n in range(8):
             for k in range(3):
                 run.scan(3.0 * n + k, 0.3 * (3 * n + k))
                 if rng.random() < 0.4:
                     run.snapshot()
                     snapshots.append(Path(shutil.copyfile(store.path, folder / f"map-{len(snapshots)}.db")))
-            digests.append(run.state.map.digest())
+            digests.append(run.run.map.digest())
             if n < 7:
                 run.rotate()
     files = sorted((folder / "log").glob("*.mcap"))
@@ -54,7 +55,7 @@ def odd_stores(trial: Trial, folder: Path, rng: random.Random, number: int) -> N
         try:
             back = recover(config(), work / "log", there)
             trial.expect(possible, f"{where}: taken up, though something is missing")
-            trial.expect(back.state.map.digest() == digests[last], f"{where}: another map")
+            trial.expect(back.run.map.digest() == digests[last], f"{where}: another map")
             trial.note("newer than the log" if newer else "gone" if cut is None else "as old as it may be")
         except LogError as error:
             trial.expect(not possible, f"{where}: {error}")

@@ -80,13 +80,13 @@ def recovers(
     except Exception as error:  # noqa: BLE001 - whatever it is, a start would fail
         trial.expect(False, f"{where}: {type(error).__name__}: {error}")
         return
-    digests = back.state.map.digest(), alone.state.map.digest()
+    digests = back.run.map.digest(), alone.run.map.digest()
     trial.expect(digests[0] == digests[1], f"{where}: the map is {digests[0]}, the log alone makes {digests[1]}")
     trial.expect(back.epoch > epoch, f"{where}: epoch {back.epoch}, and {epoch} was seen already")
     if cut is not None:
         trial.note("with a snapshot")
-        trial.expect(cut.record <= alone.state.record, f"{where}: the store is ahead of the log")
-    there = [one.payload for one in inputs_of(read_back(log))] if back.run else []
+        trial.expect(cut.record <= alone.run.record, f"{where}: the store is ahead of the log")
+    there = [one.payload for one in inputs_of(read_back(log))] if back.run_id else []
     trial.expect(there == whole[: len(there)], f"{where}: the log is not the beginning of what was logged")
     broken = fleet.broken_promises(log, now)
     trial.expect(not broken, f"{where}: {len(broken)} broken promises, the first: {broken[:1]}")

@@ -13,7 +13,7 @@ import pytest
 from cut_states import Call, Disk, read_journal
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
-from service_tools import WAIT_S, Run, config, inputs_of, read_back
+from service_tools import WAIT_S, LoggedRun, config, inputs_of, read_back
 from shim import Shim
 
 from roughmap_service.engine.recovery import recover
@@ -27,7 +27,7 @@ CUTS = 60
 def run_until_the_footer(directory: Path) -> None:
     """A run whose process dies between the footer's write and its fsync."""
     make_directory(directory)
-    with Run(directory) as run:
+    with LoggedRun(directory) as run:
         for k in range(20):  # so that the summary is written in several pieces
             run.scan(float(k), 0.3 * k, robot=f"robot{k}")
         assert run.writer.wait_synced(WAIT_S)
@@ -43,7 +43,7 @@ def run_until_the_footer(directory: Path) -> None:
 
 def go_on(directory: Path) -> None:
     """A start after that, which logs more and is killed."""
-    run = Run(directory, recovered=recover(config(), directory, None))
+    run = LoggedRun(directory, recovered=recover(config(), directory, None))
     run.scan(30.0)
     assert run.writer.wait_synced(WAIT_S)
     os._exit(DIES)
@@ -52,7 +52,7 @@ def go_on(directory: Path) -> None:
 def leave_a_file_behind(directory: Path) -> None:
     """A run whose disk takes a file's records and then fails to keep them: it goes on in another, and is killed."""
     make_directory(directory)
-    run = Run(directory)
+    run = LoggedRun(directory)
     run.scan(0.0)
     assert run.writer.wait_synced(WAIT_S)
     real, faults = os.fsync, iter([OSError(errno.EIO, "Input/output error")])

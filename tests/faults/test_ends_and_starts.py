@@ -15,7 +15,7 @@ import pytest
 import zenoh
 from net import WAIT_S, peer_config
 from processes import STOP_S, T0, Service, connected, replay
-from service_tools import Run, config
+from service_tools import LoggedRun, config
 from shim import Shim
 from test_sick_disks import dense
 
@@ -75,11 +75,11 @@ def test_of_two_starts_at_once_one_serves(tmp_path: Path, router: list[str]) -> 
 def test_a_signal_on_the_way_up_is_heard(tmp_path: Path) -> None:
     """While it folds a log it ends at once, with nothing begun; the next start has all."""
     rng = random.Random(1)
-    with Run(tmp_path / "log", config(log={"directory": str(tmp_path / "log")})) as run:
+    with LoggedRun(tmp_path / "log", config(log={"directory": str(tmp_path / "log")})) as run:
         for k in range(400):
             run.scan(0.2 * k, rng.random())
         run.checkpoint()
-        sequence = run.state.map.sequence
+        sequence = run.run.map.sequence
     before = sorted(path.name for path in (tmp_path / "log").glob("*.mcap"))
     with Service(tmp_path) as service:
         service.told("folding the log", 100.0)

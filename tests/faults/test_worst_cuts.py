@@ -9,7 +9,7 @@ from typing import Any
 
 import paths  # noqa: F401 - before what it makes importable
 from cut_states import Disk
-from service_tools import WAIT_S, Run, config, inputs_of, read_back
+from service_tools import WAIT_S, LoggedRun, config, inputs_of, read_back
 from shim import Shim
 from test_closed_unsynced import DIES, journal_of
 
@@ -32,7 +32,7 @@ def store_of(log: Path) -> Store:
 def killed(log: Path) -> None:
     """A run that ends by a kill, all of it on the disk."""
     make_directory(log)
-    run = Run(log)
+    run = LoggedRun(log)
     for k in range(3):
         run.scan(float(k), 0.3 * k)
     assert run.writer.wait_synced(WAIT_S)
@@ -48,14 +48,14 @@ def started(log: Path) -> None:
 def begun(log: Path) -> None:
     """A run with nothing in it: a service that is ready, and may have told its epoch."""
     make_directory(log)
-    Run(log)
+    LoggedRun(log)
     os._exit(DIES)
 
 
 def stored(log: Path) -> None:
     """A run with a snapshot."""
     make_directory(log)
-    run = Run(log, store=store_of(log))
+    run = LoggedRun(log, store=store_of(log))
     run.scan(0.0)
     run.snapshot()
     os._exit(DIES)

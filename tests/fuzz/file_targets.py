@@ -12,18 +12,11 @@ import xxhash
 
 from roughmap_schemas import ConfigFault, config_from
 from roughmap_schemas.config_load import load_config
-from roughmap_service.formats.clouds_in import CloudFileFault, PlacedPoints, read_cloud
-from roughmap_service.journal.reader import (
-    LogError,
-    find_files,
-    is_closed,
-    last_log_time,
-    one_run,
-    raw_records,
-    read_file,
-    read_run,
-)
+from roughmap_service.formats.clouds import read_cloud
+from roughmap_service.formats.recorded import CloudFileFault, PlacedPoints
+from roughmap_service.journal.reader import LogError, is_closed, last_log_time, raw_records, read_file
 from roughmap_service.journal.repair import repair
+from roughmap_service.journal.run_files import find_files, one_run, read_run
 from roughmap_service.store.map_db import TILE_BYTES, Store, StoreError, tile_checksum
 from roughmap_service.store.stored_tiles import read_index
 

@@ -17,7 +17,8 @@ from mcap.records import Chunk, Header, Metadata
 from roughmap_schemas import Config, MessageFault, RunMetadata, decode_cloud, decode_grid
 from roughmap_schemas.grid import DATA_TAG, encode_grid
 from roughmap_schemas.wire import write_varint
-from roughmap_service.formats.clouds_in import CloudFileFault, read_cloud
+from roughmap_service.formats.clouds import read_cloud
+from roughmap_service.formats.recorded import CloudFileFault
 from roughmap_service.journal.reader import MAGIC, DamagedLog, LogError, TornLog, raw_records
 from roughmap_service.journal.repair import repair
 from roughmap_service.store.map_db import DamagedStore, Store

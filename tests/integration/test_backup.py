@@ -1,4 +1,4 @@
-"""The lines of OPERATIONS.md, as printed: a backup of a service that runs, and a map that goes on from it elsewhere."""
+"""The backup lines of OPERATIONS.md, as printed: back up a running service, then restore and go on elsewhere."""
 
 import re
 import subprocess
@@ -11,8 +11,8 @@ from roughmap_client.session import ask
 from roughmap_schemas import CheckpointEvent, encode_cloud
 
 OPERATIONS = (Path(__file__).resolve().parents[2] / "OPERATIONS.md").read_text(encoding="utf-8")
-(BACKUP,) = re.findall(r"^\(Not `docker cp`.*Without containers.*\n\n((?: {4}.*\n)+)", OPERATIONS, re.MULTILINE)
-(RESTORE,) = re.findall(r"^Without containers: `(cp [^`]*)`", OPERATIONS, re.MULTILINE)
+(SECTION,) = re.findall(r"^### Without containers\n(.*?)^###", OPERATIONS, re.MULTILINE | re.DOTALL)
+BACKUP, RESTORE = re.findall(r"^```sh\n(.*?)^```$", SECTION, re.MULTILINE | re.DOTALL)
 
 
 def placed(number: int) -> bytes:

@@ -13,9 +13,9 @@ from roughmap_client import QueryRefused
 from roughmap_client.session import ask
 from roughmap_schemas import Keys
 from roughmap_service.host.counters import Counters
-from roughmap_service.inputs import queue as intake
-from roughmap_service.inputs.queue import Intake
-from roughmap_service.inputs.receipts import Replies
+from roughmap_service.inputs import subscriptions
+from roughmap_service.inputs.queue import InputQueue
+from roughmap_service.inputs.receipts import ReceiptSender
 from roughmap_service.inputs.subscriptions import ZenohInputs
 
 LIMIT = 1000
@@ -27,7 +27,7 @@ class Door:
     """An intake that nobody takes from, and a client's session."""
 
     client: zenoh.Session
-    intake: Intake
+    intake: InputQueue
     counters: Counters
 
     def put(self, kind: str, robot: str, size: int, mark: int = 0) -> None:
@@ -55,8 +55,8 @@ def door() -> Iterator[Door]:
     with ExitStack() as stack:
         server, client = stack.enter_context(open_pair())
         counters, keys = Counters(), Keys("site")
-        intake = Intake(LIMIT, counters)
-        replies = stack.enter_context(Replies())
+        intake = InputQueue(LIMIT, counters)
+        replies = stack.enter_context(ReceiptSender())
         stack.enter_context(ZenohInputs(server, keys, intake, replies, 2 * LIMIT, counters))
         # The queryables are declared last: where one is known, so is all the rest.
         known = threading.Event()
@@ -85,8 +85,8 @@ def test_a_pose_never_goes_for_a_clouds_sake(door: Door) -> None:
     assert door.counters.snapshot().refused["busy"] == 6
 
 
-def test_who_floods_poses_drops_its_own(door: Door) -> None:
-    door.intake.pose_limit = 4
+def test_who_floods_poses_drops_its_own(door: Door, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("roughmap_service.inputs.queue.MAX_POSES", 4)
     for robot, mark in (("loud", 1), ("quiet", 2), ("loud", 3), ("loud", 4), ("loud", 5), ("quiet", 6), ("loud", 7)):
         door.put("odometry", robot, 10, mark)
     assert door.refused("maps/site/ingest/loud/odometry", 10) == "busy"
@@ -162,7 +162,7 @@ def test_missing_message_numbers_are_counted_by_robot_and_kind(door: Door) -> No
 
 def test_of_no_more_streams_than_there_may_be_is_a_number_kept(door: Door, monkeypatch: pytest.MonkeyPatch) -> None:
     """Names come from outside: of one past the limit a gap is not seen."""
-    monkeypatch.setattr(intake, "MAX_NUMBERED", 2)
+    monkeypatch.setattr(subscriptions, "MAX_NUMBERED", 2)
     for number in (1, 3):
         for robot in ("a", "b", "c"):
             door.client.put(f"robots/{robot}/points", b"x", attachment=number.to_bytes(8, "little"))

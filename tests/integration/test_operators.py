@@ -78,7 +78,7 @@ def test_a_reset(both: Running) -> None:
     service, feed = both
     grow(feed, 100.0)
     before = feed.client.changes()
-    assert before.anew
+    assert before.complete
     assert before.tiles
     answer = control(feed, "reset")
     assert (answer.epoch, answer.sequence) == (before.version.epoch + 1, before.version.sequence + 1)
@@ -91,7 +91,7 @@ def test_a_reset(both: Running) -> None:
     assert event in events_in(service.log), "durable before the first answer"
     feed.events.wait(lambda events: event in events, "the published reset")
     changes = feed.client.changes(before.version)
-    assert changes.anew
+    assert changes.complete
     assert [(tile.key, tile.known_cells) for tile in changes.tiles] == [(tile.key, 0) for tile in before.tiles]
     assert grow(feed, 0.0) == answer.sequence + 1
 
@@ -126,7 +126,7 @@ def test_changes_since_a_version(both: Running) -> None:
     assert feed.client.changes(held).tiles == []
     sequence = grow(feed, 300.0)
     changes = feed.client.changes(held)
-    assert not changes.anew
+    assert not changes.complete
     assert {tile.key for tile in changes.tiles} == {(0, 47, -1), (0, 47, 0)}
     assert changes.version.sequence == sequence
 

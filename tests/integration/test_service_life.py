@@ -76,7 +76,7 @@ def test_a_signal_is_heeded_from_the_first_line_on(tmp_path: Path) -> None:
         service.told("roughmap")
         assert service.stop() == 0
         assert service.out == []
-        assert "ended in order on SIGTERM" in service.err[-1]
+        assert "shut down in order on SIGTERM" in service.err[-1]
 
 
 def test_a_second_service_of_the_same_map_does_not_start(service: Service, tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def test_another_program_on_the_port_is_no_service(answer: bytes, capsys: pytest
     [
         (None, 0, "ok"),
         (Problem.OVERLOADED, 0, "overloaded"),
-        (Problem.SNAPSHOT_FAILED, 1, "degraded: its log lines and"),
+        (Problem.SNAPSHOT_FAILED, 1, "degraded: the cause is in its log lines"),
         (Problem.LOG_NOT_WRITABLE, 1, "log_not_writable: the log can't be written"),
     ],
 )

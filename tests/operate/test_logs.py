@@ -21,8 +21,8 @@ from roughmap_service.host.log_lines import (
     note,
     set_up,
 )
-from roughmap_service.inputs import subscriptions
-from roughmap_service.inputs.subscriptions import refuse
+from roughmap_service.inputs import admission
+from roughmap_service.inputs.admission import refuse
 from roughmap_service.watch.status import Overload
 
 
@@ -86,7 +86,7 @@ def test_repeats_are_counted_and_told_with_the_next_line(logger: logging.Logger)
 def test_each_robot_s_first_refusal_of_a_kind_is_told_and_a_flood_of_names_is_not(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    logger = logging.getLogger(subscriptions.__name__)
+    logger = logging.getLogger(admission.__name__)
     monkeypatch.setattr(logger, "handlers", [])
     stream, _ = lines_to(logger, JsonFormatter())
     counters = Counters()

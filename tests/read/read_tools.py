@@ -1,4 +1,4 @@
-"""Cells made by hand or by chance for the tests of the read path, and maps looked at cell by cell."""
+"""Cells made by hand or at random for the tests of the read path, and maps read cell by cell."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -11,7 +11,7 @@ TILE_SHAPE = (TILE_CELLS, TILE_CELLS)
 
 
 def cell_of(heights: Iterable[float], weights: Iterable[float] | None = None, updated: int = 0) -> np.ndarray:
-    """The record of a cell that whole points (p = 1) of these heights and weights fell into, by the definitions."""
+    """Return the record of a cell with whole points (p = 1) of these heights and weights, by the definitions."""
     h = np.array(list(heights), dtype=np.float64)
     w = np.ones(len(h)) if weights is None else np.array(list(weights), dtype=np.float64)
     record = np.zeros((), dtype=CELL_DTYPE)
@@ -26,7 +26,7 @@ def cell_of(heights: Iterable[float], weights: Iterable[float] | None = None, up
 
 
 def tile_of(cells: dict[tuple[int, int], np.ndarray]) -> np.ndarray:
-    """A tile with these records at (i, j) within it, else unknown."""
+    """Return a tile with these records at (i, j), unknown elsewhere."""
     tile = np.zeros(TILE_SHAPE, dtype=CELL_DTYPE)
     for (i, j), record in cells.items():
         tile[j, i] = record
@@ -34,7 +34,7 @@ def tile_of(cells: dict[tuple[int, int], np.ndarray]) -> np.ndarray:
 
 
 def chance_tile(seed: int, known: float = 0.7) -> np.ndarray:
-    """A tile of plausible cells, a part of which is unknown."""
+    """Return a tile of plausible cells, some of them unknown."""
     rng = np.random.default_rng(seed)
     tile = np.zeros(TILE_SHAPE, dtype=CELL_DTYPE)
     tile["count"] = rng.integers(1, 9, TILE_SHAPE)
@@ -51,7 +51,7 @@ def chance_tile(seed: int, known: float = 0.7) -> np.ndarray:
 
 
 def over_cells(m: Any, cells: np.ndarray, names: Iterable[str], **options: Any) -> tuple[dict[str, np.ndarray], int]:
-    """Layers of a map at the cells (M, 2), and how many known cells lie in the smallest box around them."""
+    """Return layers of a map at the cells (M, 2), and the number of known cells in the smallest box around them."""
     (i0, j0), (i1, j1) = cells.min(axis=0), cells.max(axis=0) + 1
     side = m.cell_size * (1 << options.get("level", 0))
     r = m.region((i0 * side, j0 * side, i1 * side, j1 * side), [*names, "count"], **options)

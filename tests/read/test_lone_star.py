@@ -1,4 +1,4 @@
-"""A real survey in UTM coordinates, through both ways of building the map."""
+"""A real survey in UTM coordinates, through both methods of building the map."""
 
 from pathlib import Path
 
@@ -22,8 +22,8 @@ def survey() -> np.ndarray:
 
 
 @pytest.mark.parametrize("model", ERROR_MODELS)
-def test_the_survey_in_both_ways(survey: np.ndarray, model: str) -> None:
-    """Broken ground at coordinates of several 10^5 and 10^6 m, with slanted errors of some centimetres."""
+def test_the_survey_by_both_methods(survey: np.ndarray, model: str) -> None:
+    """Broken ground at coordinates of several 10^5 and 10^6 m, with tilted errors of a few centimetres."""
     assert len(survey) == 518_862
     assert np.abs(survey[:, :2]).max() > 1e5
     S = np.array([[4.0, 1.0, 1.0], [1.0, 9.0, -1.0], [1.0, -1.0, 4.0]]) * 1e-4

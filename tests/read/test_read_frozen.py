@@ -1,4 +1,4 @@
-"""Readings of the map: what they hold, while the map goes on."""
+"""Frozen maps: their content while the map changes."""
 
 import threading
 
@@ -60,7 +60,7 @@ def test_a_tile_row_by_row(m: RoughMap) -> None:
         assert frozen.cell_size == SIDE
 
 
-def test_tiles_that_no_map_can_hold_are_absent(m: RoughMap) -> None:
+def test_tiles_outside_every_map_are_absent(m: RoughMap) -> None:
     put(m, (0, 0, 1.0))
     for x, y in [(0, 2**32), (-1, 2**32), (2**70, 0), (0, -(2**70)), (2**25, -(2**25) - 1)]:
         with m.freeze(box=(x, y, x, y)) as frozen, m.freeze() as whole:
@@ -68,8 +68,8 @@ def test_tiles_that_no_map_can_hold_are_absent(m: RoughMap) -> None:
             assert frozen.known_cells(x, y) == whole.known_cells(x, y) == 0
 
 
-def test_a_tile_taken_from_a_store_is_seen_at_all_levels(m: RoughMap) -> None:
-    """It changes cells without a new sequence; what was merged before must not be taken for the new state."""
+def test_a_loaded_tile_is_seen_at_all_levels(m: RoughMap) -> None:
+    """Loading changes cells without a new sequence; merged tiles cached before must not be used for the new state."""
     put(m, (0, 0, 1.0))
     with m.freeze(level=2) as frozen:
         assert frozen.known_cells(0, 0) == 1
@@ -89,7 +89,7 @@ def test_the_digest_is_that_of_the_records(m: RoughMap) -> None:
     assert digests[0].tobytes().hex() == xxhash.xxh3_128_hexdigest(tile.tobytes())
 
 
-def test_a_reading_is_not_changed_by_what_comes_later(m: RoughMap) -> None:
+def test_later_changes_do_not_show(m: RoughMap) -> None:
     put(m, (0, 0, 1.0), (64, 0, 1.5), stamp_s=5)
     before = m.freeze()
     coarse_before = m.freeze(level=2)
@@ -112,7 +112,7 @@ def test_a_reading_is_not_changed_by_what_comes_later(m: RoughMap) -> None:
     before.close()
 
 
-def test_a_reading_outlives_a_reset(m: RoughMap) -> None:
+def test_a_frozen_map_outlives_a_reset(m: RoughMap) -> None:
     put(m, (0, 0, 1.0))
     with m.freeze() as frozen, m.freeze(level=1) as coarse:
         m.reset()
@@ -123,7 +123,7 @@ def test_a_reading_outlives_a_reset(m: RoughMap) -> None:
         assert coarse.records(0, 0)[0, 0]["mean"] == 5.0
 
 
-def test_a_closed_reading_says_so(m: RoughMap) -> None:
+def test_a_closed_frozen_map_refuses_reads(m: RoughMap) -> None:
     put(m, (0, 0, 1.0))
     frozen = m.freeze()
     frozen.close()
@@ -131,7 +131,7 @@ def test_a_closed_reading_says_so(m: RoughMap) -> None:
         frozen.records(0, 0)
 
 
-def test_a_reading_that_is_dropped_warns_and_gives_its_tiles_back(m: RoughMap) -> None:
+def test_a_dropped_frozen_map_warns_and_releases_its_tiles(m: RoughMap) -> None:
     put(m, (0, 0, 1.0), (100, 0, 1.0))
     m.freeze().close()
     used = m.memory_bytes
@@ -147,7 +147,7 @@ def test_a_reading_that_is_dropped_warns_and_gives_its_tiles_back(m: RoughMap) -
     assert m.memory_bytes == used
 
 
-def test_a_box_takes_its_ring_along(m: RoughMap) -> None:
+def test_a_box_includes_its_ring(m: RoughMap) -> None:
     put(m, *((64.0 * x, 64.0 * y, x + 10.0 * y) for x in range(-3, 4) for y in range(-3, 4)))
     with m.freeze(box=(0, -1, 1, -1)) as frozen:
         assert frozen.tiles.tolist() == [[0, -1], [1, -1]]
@@ -158,7 +158,7 @@ def test_a_box_takes_its_ring_along(m: RoughMap) -> None:
         assert not frozen.covers((0, -1, 2, -1))
 
 
-def test_a_box_at_the_border_of_what_can_be_numbered(m: RoughMap) -> None:
+def test_a_box_at_the_limit_of_tile_numbers(m: RoughMap) -> None:
     edge = 2**31
     put(m, (edge - 1, -edge, 1.0), (edge - 2, -edge, 2.0))
     x, y = 2**25 - 1, -(2**25)
@@ -173,7 +173,7 @@ def test_a_box_at_the_border_of_what_can_be_numbered(m: RoughMap) -> None:
 
 
 def brute_level(tiles: dict[tuple[int, int], np.ndarray], level: int) -> dict[tuple[int, int], dict[str, float]]:
-    """Sums and extremes of each cell of a level, over all level-0 cells beneath, by global cell numbers."""
+    """Return sums and extremes of each cell of a level over the level-0 cells below it, by global cell numbers."""
     found: dict[tuple[int, int], dict[str, float]] = {}
     for (x, y), tile in tiles.items():
         for j, i in np.argwhere(tile["count"] > 0).tolist():
@@ -232,7 +232,7 @@ def test_tile_layers_are_those_of_the_records(m: RoughMap) -> None:
 
 
 def test_gradients_cross_the_borders_of_tiles(m: RoughMap) -> None:
-    """A tilted plane over four tiles that meet at the origin has one gradient, at the borders too."""
+    """A tilted plane over four tiles that meet at the origin has one gradient, also at the borders."""
     i, j = np.meshgrid(np.arange(-64, 64), np.arange(-64, 64))
     height = (0.25 * i - 0.5 * j) * SIDE
     put(m, *zip(i.ravel().tolist(), j.ravel().tolist(), height.ravel().tolist(), strict=True))
@@ -241,7 +241,7 @@ def test_gradients_cross_the_borders_of_tiles(m: RoughMap) -> None:
             for x, y in frozen.tiles.tolist():
                 got = frozen.tile_layers(x, y, ["gradient_x", "gradient_y", "count"])
                 known = got["count"] > 0
-                # binary fractions: every difference and quotient is exact, one-sided ones at the rim too
+                # binary fractions: every difference and quotient is exact, also the one-sided ones at the rim
                 assert set(got["gradient_x"][known].tolist()) == {0.25}
                 assert set(got["gradient_y"][known].tolist()) == {-0.5}
 
@@ -253,11 +253,11 @@ def test_the_corner_neighbour_lies_three_tiles_away(m: RoughMap) -> None:
 
 
 LENIENT = {"slope": 2.0, "step": 0.6, "range": 0.5}
-"""Limits that the ground of `chance_tile` stays within, so that its least values differ from cell to cell."""
+"""Limits that the ground of `chance_tile` stays within, so that traversability differs from cell to cell."""
 
 
 def brute_traversability(m: RoughMap, level: int) -> dict[tuple[int, int], float]:
-    """The least known traversability of the level-0 cells beneath each cell of a level."""
+    """Return the least known traversability of the level-0 cells below each cell of a level."""
     found: dict[tuple[int, int], float] = {}
     with m.freeze() as frozen:
         for x, y in frozen.tiles.tolist():
@@ -283,8 +283,8 @@ def test_coarse_ground_is_never_safer_than_fine_ground(m: RoughMap, level: int) 
     assert known == len(expected)
 
 
-def test_coarse_traversability_hears_of_changes_beside_its_tiles(m: RoughMap) -> None:
-    """A wall goes up in the next tile: the cells along the border turn bad in a merged tile that was read before."""
+def test_coarse_traversability_follows_changes_beside_its_tiles(m: RoughMap) -> None:
+    """A wall appears in the next tile: the cells along the border become bad in a merged tile that was read before."""
     put(m, *((i, j, 0.0) for i in range(60, 64) for j in range(4)))
     put(m, *((i, j, 0.0) for i in range(60, 64) for j in range(4)))
     limits = {"step": 0.5}
@@ -298,8 +298,8 @@ def test_coarse_traversability_hears_of_changes_beside_its_tiles(m: RoughMap) ->
     assert corner() == 0.0
 
 
-def test_the_last_tile_beneath_a_level_tile_counts_for_its_neighbour(m: RoughMap) -> None:
-    """The same across the border of two merged tiles: the ring that a sequence watches is one cell of its level."""
+def test_the_last_tile_below_a_level_tile_counts_for_its_neighbour(m: RoughMap) -> None:
+    """The same across the border of two merged tiles: the ring of a sequence is one cell of its level wide."""
     put(m, *((i, 0, 0.0) for i in range(120, 128)))
     limits = {"step": 0.5}
 
@@ -312,7 +312,7 @@ def test_the_last_tile_beneath_a_level_tile_counts_for_its_neighbour(m: RoughMap
     assert border() == 0.0
 
 
-def test_many_threads_read_one_reading(m: RoughMap) -> None:
+def test_many_threads_read_one_frozen_map(m: RoughMap) -> None:
     load(m, {(x, y): chance_tile(x + 9 * y) for x in range(4) for y in range(4)})
     with m.freeze(level=2) as frozen:
         found: list[bytes] = []
@@ -341,32 +341,32 @@ def test_the_cache_is_bounded() -> None:
     for n in (0, 1, 2, 0, 3, 0, 1):
         cache.get((n,), lambda n=n: make(n))
         assert cache.nbytes <= cache.limit
-    # 1 had not been asked for the longest when 3 came; then 2 when 1 came again
+    # 1 was the least recently used when 3 was added, then 2 when 1 was added again
     assert made == [0, 1, 2, 3, 1]
 
 
-def test_what_lies_beneath_drives_out_nothing_of_the_level() -> None:
+def test_lower_levels_do_not_evict_the_level_that_is_read() -> None:
     cache = MergeCache(limit=4 * 4096 * 64)
     made: list[int] = []
 
-    def get(n: int, *, beneath: bool = False) -> None:
-        cache.get((n,), lambda: made.append(n) or np.zeros(4096, CELL_DTYPE), beneath=beneath)  # type: ignore[func-returns-value]
+    def get(n: int, *, lower: bool = False) -> None:
+        cache.get((n,), lambda: made.append(n) or np.zeros(4096, CELL_DTYPE), lower=lower)  # type: ignore[func-returns-value]
         assert cache.nbytes <= cache.limit
 
     for n in range(10, 14):
-        get(n, beneath=True)
-    for n in (13, 0, 1, 10, 11, 0, 1):  # where nothing else is wanted it has all the room
-        get(n, beneath=n > 1)
+        get(n, lower=True)
+    for n in (13, 0, 1, 10, 11, 0, 1):  # lower levels may use the whole cache while there is nothing else
+        get(n, lower=n > 1)
     assert made == [10, 11, 12, 13, 0, 1, 10, 11]
-    for n in (2, 3, 4):  # the level has no more than its half while the other is wanted
+    for n in (2, 3, 4):  # the least recently used entries of the level go when lower ones take less than half
         get(n)
     for n in (10, 11):
-        get(n, beneath=True)
+        get(n, lower=True)
     assert made == [10, 11, 12, 13, 0, 1, 10, 11, 2, 3, 4]
 
 
 def test_slopes_merge_each_tile_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With room for far fewer than all of them: a tile's neighbours are wanted again with the next column."""
+    """The cache holds far fewer than all tiles: the neighbours of a tile are needed again with the next column."""
     spread = np.arange(16) * 6.4 + 3.2
     x, y = (axis.ravel() for axis in np.meshgrid(spread, spread))
     rough_map = RoughMap(error_model="point", levels=3)
@@ -382,7 +382,7 @@ def test_slopes_merge_each_tile_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(merged) == 64 + 16
 
 
-def test_what_is_larger_than_the_cache_is_not_kept() -> None:
+def test_an_array_larger_than_the_cache_is_not_kept() -> None:
     cache = MergeCache(limit=10)
     assert cache.get((1,), lambda: np.zeros(11, np.uint8)).size == 11
     assert cache.nbytes == 0

@@ -1,4 +1,4 @@
-"""Every layer that a cell's own record tells, by hand."""
+"""Every layer computed from a cell's own record, by hand."""
 
 from math import nan, sqrt
 from statistics import NormalDist
@@ -8,7 +8,16 @@ import pytest
 from read_tools import cell_of
 
 from roughmap.cell import CELL_DTYPE
-from roughmap.reading.layers import CELL_LAYERS, LAYERS, cell_layers, check_limits, check_names, check_tolerance
+from roughmap.reading.layers import (
+    CELL_LAYERS,
+    LAYERS,
+    LIMIT_NAMES,
+    cell_layers,
+    check_limits,
+    check_names,
+    check_tolerance,
+)
+from roughmap_schemas import layers as contract
 
 UNKNOWN = np.zeros((), dtype=CELL_DTYPE)
 
@@ -23,10 +32,12 @@ def test_the_layers_of_the_contract_in_its_order() -> None:
         *("confidence_factor", "mean_variance", "count", "weight", "expected_count", "age", "gradient_x"),
         *("gradient_y", "slope", "step_height", "traversability"),
     ) == LAYERS
+    assert LAYERS == contract.LAYERS
+    assert LIMIT_NAMES == contract.LIMIT_NAMES
 
 
 def test_three_points() -> None:
-    """Heights 1.0, 1.1, 1.5: the mean is 1.2, the squares add up to 0.04 + 0.01 + 0.09 = 0.14 over 3 - 1."""
+    """Heights 1.0, 1.1, 1.5: the mean is 1.2, the squares sum to 0.04 + 0.01 + 0.09 = 0.14, over 3 - 1."""
     got = read(cell_of([1.0, 1.1, 1.5], updated=7), newest=19)
     assert got["mean_height"] == pytest.approx(1.2)
     assert got["mid_range_height"] == 1.25
@@ -61,7 +72,7 @@ def test_one_point_has_no_spread() -> None:
 
 @pytest.mark.parametrize(("light", "known"), [(1e-3, True), (1e-8, False)])
 def test_a_sliver_beside_a_whole_point_has_no_spread(light: float, known: bool) -> None:
-    """n is 1 + 2 light to first order: 1.002 is a spread, 1 + 2e-8 lies within 1 + 1e-6."""
+    """n is 1 + 2 light to first order: 1.002 has a spread, 1 + 2e-8 lies within 1 + 1e-6."""
     got = read(cell_of([1.0, 2.0], [1.0, light]))
     assert np.isnan(got["std_dev"]) != known
     assert np.isnan(got["confidence_level"]) != known

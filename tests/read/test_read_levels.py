@@ -1,4 +1,4 @@
-"""Four cells become one: the merge by itself, and against a map built at the coarser cell size."""
+"""Merging four cells into one: by hand, and against a map built at the coarser cell size."""
 
 from fractions import Fraction
 
@@ -16,7 +16,7 @@ CHILDREN = ((0, 0), (1, 0), (0, 1), (1, 1))
 
 
 def merged(children: list[np.ndarray | None]) -> np.ndarray:
-    """The parent of four cells, each a record or None for unknown."""
+    """Return the parent of four cells, each a record or None for unknown."""
     known = {place: child for place, child in zip(CHILDREN, children, strict=True) if child is not None}
     return merge([tile_of(known), None, None, None])[0, 0]
 
@@ -39,7 +39,7 @@ def test_two_children_by_hand() -> None:
     assert got["inv_cf"] == pytest.approx(3e6)
 
 
-def test_nothing_known_beneath() -> None:
+def test_nothing_known_below() -> None:
     assert merge([None, tile_of({}), None, None]).tobytes() == bytes(np.prod(TILE_SHAPE) * 64)
 
 
@@ -53,7 +53,7 @@ def test_counts_stop_at_the_top() -> None:
 
 
 def test_each_quadrant_from_its_child() -> None:
-    """Cell (i, j) of the parent is made of (2i, 2j) and its three neighbours, over all four tiles beneath."""
+    """Cell (i, j) of the parent is merged from (2i, 2j) and its three neighbours, over all four child tiles."""
     tiles = [chance_tile(seed) for seed in range(4)]
     got = merge(tiles)
     below = np.block([[tiles[0], tiles[1]], [tiles[2], tiles[3]]])
@@ -74,7 +74,7 @@ def test_each_quadrant_from_its_child() -> None:
     )
 )
 def test_the_merge_is_that_of_all_points_at_once(points: list[list[tuple[int, int]]]) -> None:
-    """Heights and weights that are binary fractions, so that the true sums can be held against them exactly."""
+    """Heights and weights are binary fractions, so that the true sums are exact."""
     children = [cell_of((h / 8 for h, _ in cell), (w / 8 for _, w in cell)) if cell else None for cell in points]
     got = merged(children)
     every = [(Fraction(h, 8), Fraction(w, 8)) for cell in points for h, w in cell]
@@ -93,7 +93,7 @@ def test_the_merge_is_that_of_all_points_at_once(points: list[list[tuple[int, in
 
 
 def grown_map(model: str, side: float, levels: int, seed: int) -> tuple[RoughMap, np.ndarray]:
-    """A map of ground around the origin, built with the paper's min_share of 0."""
+    """Return a map of ground around the origin, built with the paper's min_share of 0."""
     rng = np.random.default_rng(seed)
     points = np.column_stack((rng.uniform(-9.0, 9.0, (4000, 2)), rng.normal(300.0, 0.3, 4000)))
     spread = rng.uniform(0.01, 0.05, (4000, 3))
@@ -109,10 +109,10 @@ def grown_map(model: str, side: float, levels: int, seed: int) -> tuple[RoughMap
 
 @pytest.mark.parametrize("model", ["point", "cuboid", "ellipsoid"])
 def test_a_level_is_the_map_built_at_that_cell_size(model: str) -> None:
-    """W, W2, mean, m2, min, max and `updated` are; the count is for `point` only, where no point lies in two cells.
+    """W, W2, mean, m2, min, max and `updated` agree; the count only for `point`, where no point lies in two cells.
 
-    In the larger map the weights are twice, four and eight times as large (eq. 14 takes its own cell's side), W2 four,
-    sixteen and sixty-four times.
+    In the coarser map the weights are two, four and eight times as large, since eq. 14 contains the side of the cell,
+    and W2 four, sixteen and sixty-four times.
     """
     side = 0.125
     fine, _ = grown_map(model, side, 4, seed=1)

@@ -1,4 +1,4 @@
-"""Regions: which cells a box means, and mosaics over tiles."""
+"""Regions: the cells that a box covers, and layers over several tiles."""
 
 from math import inf, nan
 
@@ -12,7 +12,7 @@ from roughmap.reading.layers import LAYERS
 from roughmap.reading.region import MAX_CELLS, cell_box, read_region
 
 
-def test_an_edge_that_is_meant_to_lie_on_a_border_does() -> None:
+def test_an_edge_within_rounding_of_a_border_lies_on_it() -> None:
     """0.3 / 0.1 is 2.9999999999999996 and 0.7 / 0.1 is 6.999999999999999: three cells and seven."""
     assert cell_box((0.3, 0.0, 0.7, 0.3), 0.1) == (3, 0, 7, 3)
     assert cell_box((0.0, 0.0, 0.3, 0.6), 0.1) == (0, 0, 3, 6)
@@ -56,7 +56,7 @@ def test_the_largest_box() -> None:
 
 @pytest.fixture
 def m() -> RoughMap:
-    """Ground of which two thirds of the cells are known, over tiles around the origin."""
+    """Return ground with two thirds of the cells known, over tiles around the origin."""
     rng = np.random.default_rng(4)
     m = RoughMap(cell_size=0.1, error_model="point", threads=1)
     points = np.column_stack((rng.uniform(-8.0, 8.0, (30000, 2)), rng.normal(0.0, 0.1, 30000)))
@@ -86,7 +86,7 @@ def test_row_0_lies_lowest() -> None:
 
 @pytest.mark.parametrize("level", [0, 1, 3])
 def test_any_box_shows_the_same_ground(m: RoughMap, level: int) -> None:
-    """What lies in a small box is what lies there in a large one, neighbours outside the box included."""
+    """A small box shows the same as that part of a large box, including neighbours outside the small box."""
     side = 0.1 * 2**level
     whole = m.region((-12.8, -12.8, 12.8, 12.8), LAYERS, level=level)
     n = round(12.8 / side)
@@ -135,7 +135,7 @@ def test_bad_requests_change_nothing(m: RoughMap, arguments: dict[str, object], 
     assert (m.digest(), m.sequence) == (digest, 1)
 
 
-def test_a_region_must_lie_in_the_reading(m: RoughMap) -> None:
+def test_a_region_must_lie_in_the_frozen_map(m: RoughMap) -> None:
     with m.freeze(box=(0, 0, 0, 0)) as frozen:
         assert read_region(frozen, (0, 0, 6.4, 6.4), ["range"]).shape == (64, 64)
         with pytest.raises(ValueError, match="within"):

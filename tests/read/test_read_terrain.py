@@ -15,7 +15,7 @@ SIDE = 0.5
 
 
 def around(west: float, east: float, south: float, north: float, here: float = 1.0) -> np.ndarray:
-    """One cell with its four nearest neighbours; rows along y."""
+    """Return one cell with its four nearest neighbours; rows along y."""
     return np.array([[nan, south, nan], [west, here, east], [nan, north, nan]])
 
 
@@ -41,7 +41,7 @@ def test_an_axis_without_neighbours_is_unknown() -> None:
     assert ground.step_height[0, 0] == pytest.approx(0.3)
 
 
-def test_an_unknown_cell_says_nothing() -> None:
+def test_an_unknown_cell_has_no_terrain() -> None:
     ground = derive(around(0.9, 1.3, 1.6, 1.2, here=nan), SIDE, check_limits(None), *(np.ones((1, 1)),) * 3)
     planes = (ground.gradient_x, ground.gradient_y, ground.slope, ground.step_height, ground.traversability)
     assert all(np.isnan(plane[0, 0]) for plane in planes)
@@ -109,7 +109,7 @@ def test_the_least_term_counts_and_all_are_clipped() -> None:
     assert traversability(FLAT, {"confidence": 0.5}, confidence=1.0) == 1.0
 
 
-def test_a_known_zero_wins_over_what_is_unknown() -> None:
+def test_a_known_zero_precedes_unknown_terms() -> None:
     limits = {"slope": 0.5, "std_dev": 0.1, "range": 0.2}
     assert traversability(STEEP, limits, std_dev=nan) == 0.0
     assert traversability(FLAT, limits, std_dev=nan, extent=0.2) == 0.0

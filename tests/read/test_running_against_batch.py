@@ -12,15 +12,15 @@ from roughmap.reading.layers import LAYERS
 from roughmap.reference.batch import BatchMap
 
 EXACT = ("max_height", "min_height", "range", "mid_range_height", "count", "age")
-"""Chosen, not calculated: to the bit (a range is one difference, a mid-range one sum of the same two numbers)."""
+"""Layers that agree to the bit: they are selected, or one difference or sum of the same two numbers."""
 
 
 def compare(m: RoughMap, b: BatchMap, height: float, **options: object) -> None:
-    """All layers of both. ``height``: the largest |h|, whose rounding every mean carries.
+    """Compare all layers of both. ``height``: the largest |h|, which determines the rounding of means.
 
-    A mean and the running mean are off by some 1e-16 of the height for each point; d = |h - mean| is at least
-    min_distance = 1e-3, so that 1/d^2 is off by 2e3 times that. Shares and determinants are good to some 1e-11: both
-    ways calculate them from the same S whose condition is below 1e5.
+    The mean and the running mean are off by about 1e-16 of the height per point; d = |h - mean| is at least
+    min_distance = 1e-3, so that 1/d^2 is off by 2e3 times that. Shares and determinants are exact to about 1e-11: both
+    methods compute them from the same S, whose condition is below 1e5.
     """
     if len(b.cells) == 0:
         assert m.tile_count == 0
@@ -33,7 +33,7 @@ def compare(m: RoughMap, b: BatchMap, height: float, **options: object) -> None:
     np.testing.assert_allclose(got["mean_height"], b["mean_height"], rtol=0, atol=10 * off, err_msg="mean_height")
     for name in ("weight", "expected_count"):
         np.testing.assert_allclose(got[name], b[name], rtol=1e-9, err_msg=name)
-    # std_dev^2 = m2 / (W - W2/W): a spread below what means are off by is rounding in both.
+    # std_dev^2 = m2 / (W - W2/W): a spread below the error of the means is rounding in both.
     np.testing.assert_allclose(got["std_dev"] ** 2, b["std_dev"] ** 2, rtol=1e-5, atol=off, err_msg="std_dev")
     np.testing.assert_allclose(got["confidence_factor"], b["confidence_factor"], rtol=1e-8 + 1e4 * off)
     spread = b["std_dev"] > 1e-4
@@ -44,7 +44,7 @@ def compare(m: RoughMap, b: BatchMap, height: float, **options: object) -> None:
     for name in ("gradient_x", "gradient_y", "slope"):
         np.testing.assert_allclose(got[name], b[name], rtol=1e-9, atol=20 * off / side, err_msg=name)
     np.testing.assert_allclose(got["step_height"], b["step_height"], rtol=0, atol=20 * off, err_msg="step_height")
-    # A term is 1 at a spread of zero and falls by 1 over its limit; where the spread is rounding it is near 1 in both.
+    # A term is 1 at a spread of zero and falls by 1 over its limit; if the spread is rounding, it is near 1 in both.
     np.testing.assert_allclose(got["traversability"], b["traversability"], rtol=0, atol=1e-4, err_msg="traversability")
 
 
@@ -95,7 +95,7 @@ def test_all_layers(
     }
     read = {"height_tolerance": 0.03, "limits": {"slope": 1.0, "step": 0.5, "std_dev": 0.2, "range": 0.6}}
     b = BatchMap(points, covariance, stamp_ns, min_share=min_share, **common, **read)
-    # A cell whose share lies within rounding of the least that takes part may be in one map and not in the other.
+    # A cell whose share is within rounding of the smallest that counts may be in one map and not in the other.
     nearly = [BatchMap(points, covariance, min_share=min_share * f, **common)["count"] for f in (1 - 1e-8, 1 + 1e-8)]
     assume(len(nearly[0]) == len(nearly[1]) and (nearly[0] == nearly[1]).all())
     m = RoughMap(min_share=min_share, threads=1, **common)

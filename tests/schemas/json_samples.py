@@ -39,6 +39,7 @@ CHECKPOINT = CheckpointEvent(epoch=2, sequence=4, digest=DIGEST)
 RESET = ResetEvent(epoch=3, sequence=5)
 
 TILE: dict[str, Any] = {
+    "contract": "1.0",
     "map": "site",
     "instance": HEX,
     "epoch": 2,
@@ -57,6 +58,7 @@ TILE: dict[str, Any] = {
 }
 
 STATUS: dict[str, Any] = {
+    "contract": "1.0",
     "map": "site",
     "run": HEX,
     "instance": HEX,

@@ -6,6 +6,7 @@ import re
 import pytest
 
 from roughmap_schemas import Config, ConfigFault, SensorConfig, config_from, configuration_digest
+from roughmap_schemas.config import REMOVED
 from roughmap_schemas.keys import TEMPLATES
 
 INF = math.inf
@@ -79,12 +80,12 @@ DEFAULTS = {
 
 FREE = {
     "map": {"spill_path", "spill_limit"},
-    "input": {"max_robots", "max_poses", "max_transforms", "pose_queue"},
+    "input": {"max_robots"},
     "query": {"max_running_cells", "queue_limit", "cache_limit"},
     "log": {"max_file_bytes", "max_file_age", "queue_limit"},
     "store": {"snapshot_interval"},
     "http": {"token", "token_file"},
-    "service": {"threads", "control_timeout", "log_format", "log_level"},
+    "service": {"threads", "log_format", "log_level"},
 }
 """Settings whose defaults, or which themselves, the contract leaves open."""
 
@@ -240,6 +241,17 @@ def test_a_sensor_must_say_how_far_it_is_to_be_believed() -> None:
 )
 def test_unknown_keys(values: dict, words: str) -> None:
     assert fault(values).startswith(words)
+
+
+@pytest.mark.parametrize("dotted", REMOVED)
+def test_a_removed_setting_is_refused_by_name_but_ignored_in_a_log(dotted: str) -> None:
+    section, _, name = dotted.partition(".")
+    values = {section: {name: 5}, "map": {"cell_size": 0.2}}
+    said = f"here.toml: {dotted}: is no longer a setting (always {REMOVED[dotted]}): remove it"
+    assert fault(values) == said
+    assert Config.from_log(values).map.cell_size == 0.2
+    with pytest.raises(ValueError, match=r"map\.other"):
+        Config.from_log({**values, "map": {"other": 1}})
 
 
 def test_sizes() -> None:

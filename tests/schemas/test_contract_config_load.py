@@ -167,6 +167,7 @@ def test_whence_each_limit_came(file: Path) -> None:
         ("ROUGHMAP_MAP_NAME", "map_name: unknown key"),
         ("ROUGHMAP_MAP__NAME__X", "map.name.x: unknown key"),
         ("ROUGHMAP_KEYS__TILE", "keys.tile: unknown key"),
+        ("ROUGHMAP_INPUT__MAX_POSES", "input.max_poses: is no longer a setting (always 20000 poses per robot)"),
     ],
 )
 def test_unknown_variables_and_keys(name: str, words: str) -> None:
@@ -204,10 +205,10 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     assert fault(bad).startswith(f"{bad}: can't be read: No such file")
     assert fault(tmp_path).startswith(f"{tmp_path}: can't be read: Is a directory")
     for content, words in (
-        (b"[map\n", "is no TOML"),
-        (b"\xff\xfe", "is no UTF-8 text"),
+        (b"[map\n", "invalid TOML"),
+        (b"\xff\xfe", "not UTF-8 text"),
         (b"# " + b"x" * (1 << 20), "expected at most 1048576 bytes"),
-        (b"a = " + b"[" * 5000, "is "),
+        (b"a = " + b"[" * 5000, "nested too deep"),
     ):
         bad.write_bytes(content)
         assert fault(bad).startswith(f"{bad}: {words}")

@@ -4,7 +4,7 @@ import contextlib
 import io
 from pathlib import Path
 
-from service_tools import Run
+from service_tools import LoggedRun
 
 from roughmap import RoughMap
 from roughmap_service.cli.main import run as command
@@ -28,16 +28,16 @@ def refused(outcome: tuple[int, str, str], words: str) -> None:
     assert "Traceback" not in err
 
 
-def drive(run: Run, first: int = 0, scans: int = 3) -> None:
+def drive(run: LoggedRun, first: int = 0, scans: int = 3) -> None:
     """Some scans, a checkpoint after each."""
     for k in range(first, first + scans):
         run.scan(float(k), 0.3 * k)
         run.checkpoint()
 
 
-def three_files(logs: Path) -> Run:
+def three_files(logs: Path) -> LoggedRun:
     """A run in three files, two scans in each."""
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         for k in range(3):
             drive(run, 2 * k, 2)
             if k < 2:

@@ -3,8 +3,10 @@
 import shutil
 import uuid
 from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import IO, Any, Self
 
@@ -19,22 +21,24 @@ from roughmap_schemas import (
     ResetEvent,
     RunMetadata,
     encode_cloud,
-    encode_event,
     encode_odometry,
     encode_transform,
 )
 from roughmap_schemas.kinds import Kind
+from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.recovery import Recovered, blank
-from roughmap_service.journal.file import LogRecord, open_new
+from roughmap_service.host.counters import Counters
+from roughmap_service.inputs.queue import InputMessage
+from roughmap_service.journal.file import open_new
 from roughmap_service.journal.items import Rotate
-from roughmap_service.journal.reader import EventRecord, FileStart, InputRecord, LogItem, find_files, one_run, read_run
+from roughmap_service.journal.recorder import Recorder
+from roughmap_service.journal.records import EventRecord, FileStart, InputRecord, LogItem
+from roughmap_service.journal.run_files import find_files, one_run, read_run
 from roughmap_service.journal.writer import LogWriter
-from roughmap_service.run.apply import span
-from roughmap_service.run.duplicates import Duplicates
-from roughmap_service.run.fold import decode
-from roughmap_service.run.inbox import Inbox, WaitingCloud
+from roughmap_service.run.metadata import file_metadata
 from roughmap_service.run.view import View
-from roughmap_service.store.map_db import Store
+from roughmap_service.store.map_db import Cut, Store
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.snapshots import Snapshots, cut_of
 from roughmap_service.store.spill import Spill
 
@@ -92,10 +96,11 @@ def transform(t: float, x: float = 0.0, child: str = "odom") -> bytes:
     return encode_transform(T0 + round(t * SECOND), "map", child, (x, 0.0, 0.0), LEVEL)
 
 
-class Run:
-    """A run that goes on from ``recovered`` (None: a new one); a context manager that closes its log.
+class LoggedRun:
+    """A live run without threads of its own: what is put is accepted at once, what is due is decided when asked.
 
-    Time is what the test says: a cloud arrives at 0.0, and `decide` tells which moment it is.
+    It goes on from ``recovered`` (None: a new run); a context manager that closes its log. Messages arrive at monotonic
+    time 0.0, and `decide` says which time it is.
     """
 
     def __init__(
@@ -112,100 +117,64 @@ class Run:
         self.config = settings or config()
         self.directory = directory
         directory.mkdir(parents=True, exist_ok=True)
+        self._open = ExitStack()
         self.recovered = recovered or blank(self.config)
-        self.state = self.recovered.state
-        self.state.epoch = self.recovered.epoch
-        self.run = self.recovered.run or uuid.uuid4().hex
-        self.keys = Keys("site", self.config.keys)
-        self.inbox = Inbox(self.state.settings, self.state.poses)
-        self.duplicates = self.recovered.duplicates
-        self.view = View(self.state.map, self.state.epoch)
-        first = metadata(
-            run=self.run,
-            created_ns=created_ns,
-            epoch=self.state.epoch,
-            index=self.recovered.index,
-            first_input=self.state.input + 1,
-            first_record=self.state.record + 1,
-            base_sequence=self.state.map.sequence,
-            base_digest=self.state.map.digest(),
-            configuration=self.config.public_dict(),
+        self.run = self.recovered.run
+        self.run.epoch = self.recovered.epoch
+        self.run_id = self.recovered.run_id or uuid.uuid4().hex
+        self.view = View(self.run.map, self.run.epoch)
+        first = file_metadata(
+            self.run_id, self.run, self.config, epoch=self.run.epoch, index=self.recovered.index, created_ns=created_ns
         )
+        self.keys = Keys("site", self.config.keys)
         self.writer = LogWriter(directory, first, open_file=open_file)
+        self.recorder = Recorder(self.writer, self.keys)
         stored = None if self.recovered.was_reset else self.recovered.cut
         self.snapshots = Snapshots(store, self.view, self.writer, stored, keep=self.config.log.keep, spill=spill)
-        for number, robot, size in self.recovered.undecided:
-            self._feed(number, robot, size)
+        apart = self._open.enter_context(TemporaryDirectory())  # not among the files that a test looks at
+        shelf = spill or self._open.enter_context(Spill(Path(apart, "tiles.spill"), 0))
+        memory = MemoryLimit(1 << 50, shelf)
+        self.published: list[bytes] = []
+        self.counters = Counters()
+        self.live = LiveRun(
+            self.run, self.view, self.writer, self.recorder, self.counters, memory, self.published.append
+        )
+        self.run.resume(0.0)
 
     def put(self, kind: Kind, payload: bytes, robot: str = "rover") -> int:
         """Log an input and take it up; its number."""
-        number = self.state.input = self.state.input + 1
-        self.state.record += 1
-        content = decode(kind, payload, self.state.settings)
-        topic = self.keys.form(kind).make(robot=robot)
-        self.writer.put(LogRecord(kind, topic, payload, T0, content.stamp_ns, number))
-        self.duplicates.add(Duplicates.identity(robot, kind, payload), number)
-        if kind is Kind.POINTS:
-            self.state.take_cloud(number, content)
-            self._feed(number, robot, len(payload))
-        elif kind is Kind.ODOMETRY:
-            if self.state.take_odometry(number, robot, content)[1]:
-                self.inbox.clock_reset(robot)
-        else:
-            self.state.take_transform(number, robot, content)
+        number = self.live.accept(InputMessage(kind, robot, payload, T0, 0.0), 0.0)
+        assert number is not None, "refused"
         return number
 
-    def _feed(self, number: int, robot: str, size: int) -> None:
-        held = self.state.clouds[number]
-        self.inbox.feed(WaitingCloud(number, robot, held, *span(held), 0.0, size, promised=False))
-
     def decide(self, now: float = 0.0) -> list[IntegrationEvent]:
-        """Apply every decision that is due at monotonic time ``now``."""
+        """Decide and apply all that is due at monotonic time ``now``."""
         done = []
-        while (decision := self.inbox.tick(now)) is not None:
-            proposal = IntegrationEvent(
-                epoch=0,
-                input=decision.cloud.input,
-                robot=decision.cloud.robot,
-                poses=[(pose.input, pose.transform) for pose in decision.poses],
-                outcome=decision.outcome,
-                accepted=0,
-                rejected={},
-                sequence=0,
-            )
-            event = self.event(proposal)
-            assert isinstance(event, IntegrationEvent)
+        while (event := self.live.decide(now)) is not None:
             done.append(event)
         return done
 
-    def event(self, proposal: Event) -> Event:
-        """Apply an event and log how it came out."""
-        integration = isinstance(proposal, IntegrationEvent)
-        change = self.state.prepare(proposal, self.view.reading) if integration else lambda: self.state.apply(proposal)
-        with self.view.change():
-            event = change()
-            self.view.epoch = self.state.epoch
+    def log_event(self, event: Event) -> None:
+        """Log an event, whether it is true or not."""
+        self.run.record += 1
+        self.recorder.event(event, T0)
+
+    def checkpoint(self) -> CheckpointEvent:
+        """Log the map's digest."""
+        event = self.run.checkpoint()
         self.log_event(event)
         return event
 
-    def log_event(self, event: Event) -> None:
-        """Log an event, whether it is true or not."""
-        self.state.record += 1
-        topic, payload = self.keys.events, encode_event(event)
-        self.writer.put(LogRecord(Kind.EVENTS, topic, payload, T0, T0, 0, event.epoch, event.sequence))
-
-    def checkpoint(self) -> Event:
-        """Log the map's digest."""
-        return self.event(CheckpointEvent(epoch=0, sequence=0, digest="0" * 32))
-
-    def reset(self) -> Event:
+    def reset(self) -> ResetEvent:
         """Empty the map."""
-        return self.event(ResetEvent(epoch=0, sequence=0))
+        event = self.live.log_reset()
+        self.live.empty(event, lambda _: None, publish=True)
+        return event
 
     def rotate(self) -> None:
         """Checkpoint, and go on in a new file."""
         self.checkpoint()
-        self.writer.put(Rotate(self.state.map.digest()))
+        self.writer.put(Rotate(self.run.map.digest()))
 
     def scan(self, t: float, x: float = 0.0, robot: str = "rover") -> IntegrationEvent:
         """A pose before and one after a cloud, and the cloud decided."""
@@ -214,9 +183,13 @@ class Run:
         self.put(Kind.ODOMETRY, odometry(t + 0.1, x + 0.1), robot)
         return self.decide()[-1]
 
+    def cut(self) -> Cut:
+        """Where the run stands."""
+        return cut_of(self.run_id, self.config, self.run)
+
     def snapshot(self) -> None:
         """Store the run's cut, and wait until it is there."""
-        thread = self.snapshots.offer(lambda: cut_of(self.run, self.config, self.state, self.inbox, self.duplicates))
+        thread = self.snapshots.offer(self.cut)
         assert thread is not None
         thread.join(WAIT_S)
         assert not thread.is_alive()
@@ -233,8 +206,9 @@ class Run:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.snapshots.close(WAIT_S)
-        assert self.writer.close(WAIT_S) or error is not None
+        with self._open:
+            self.snapshots.wait(WAIT_S)
+            assert self.writer.close(WAIT_S) or error is not None
 
 
 def read_back(*paths: Path) -> list[LogItem]:

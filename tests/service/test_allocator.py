@@ -7,7 +7,7 @@ import pytest
 
 FAULTS = """
 import resource, sys
-from roughmap_service.memory import keep_freed
+from roughmap_service.store.memory_limit import keep_freed
 limit = int(sys.argv[1])
 if limit:
     keep_freed(limit)

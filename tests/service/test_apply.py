@@ -16,30 +16,33 @@ from roughmap_schemas import (
     encode_cloud,
 )
 from roughmap_schemas.kinds import Kind
-from roughmap_service.run.apply import RunError, RunState, span
-from roughmap_service.run.fold import decode
+from roughmap_service.run.decoding import decode
+from roughmap_service.run.inbox import Proposal
+from roughmap_service.run.placing import span
+from roughmap_service.run.run import Run, RunError, Taken
 from roughmap_service.run.settings import Settings, new_map
 
 BAD = -1
 
 
-def state(settings: Config | None = None) -> RunState:
+def state(settings: Config | None = None) -> Run:
     """A run with poses at 0.0 and 0.1 s, inputs 1 and 2."""
     values = settings or config()
-    s = RunState(Settings(values), new_map(values), epoch=1)
+    s = Run(Settings(values), new_map(values), epoch=1)
     for number, t in enumerate((0, SECOND // 10), 1):
-        s.take_odometry(number, "rover", Odometry(T0 + t, "map", "base", (0.0, 0.0, 1.0), LEVEL, PRECISE))
+        pose = Odometry(T0 + t, "map", "base", (0.0, 0.0, 1.0), LEVEL, PRECISE)
+        assert s.take("rover", pose, ("rover", "odometry", str(t))) == Taken(number)
     return s
 
 
-def integrate(s: RunState, cloud: Cloud, **values: object) -> IntegrationEvent:
+def integrate(s: Run, cloud: Cloud, **values: object) -> IntegrationEvent:
     """The cloud as input 3, placed with both poses unless ``values`` of the event say otherwise."""
-    s.take_cloud(3, cloud)
+    s.keep(3, "rover", cloud)
     given = {
         "epoch": 0, "input": 3, "robot": "rover", "poses": [(1, 0), (2, 0)], "outcome": "integrated", "accepted": 0,
         "rejected": {}, "sequence": 0, **values,
     }  # fmt: skip
-    event = s.apply(IntegrationEvent.model_validate(given))
+    event = s.follow(IntegrationEvent.model_validate(given))
     assert isinstance(event, IntegrationEvent)
     assert 3 not in s.clouds
     return event
@@ -105,12 +108,13 @@ def test_where_memory_is_full_and_in_its_replay_no_tile_is_new() -> None:
     live, again = state(), state()
     for s in (live, again):
         assert integrate(s, scan(near)).outcome == "integrated"
-    live.no_new_tiles = True
-    refused = integrate(live, scan(far))
+    proposal = Proposal(live.keep(3, "rover", scan(far)), "integrated", ((1, 0), (2, 0)))
+    refused = live.place(proposal, no_new_tiles=True)()
     assert refused.outcome == CloudReason.TOO_MANY_TILES
     assert integrate(again, scan(far), outcome="too_many_tiles") == refused
     assert live.map.digest() == again.map.digest()
-    assert integrate(live, scan(near)).outcome == "integrated"
+    proposal = Proposal(live.keep(3, "rover", scan(near)), "integrated", ((1, 0), (2, 0)))
+    assert live.place(proposal, no_new_tiles=True)().outcome == "integrated"
     assert integrate(again, scan(near), outcome="too_many_tiles").outcome == "integrated", "no such event was logged"
 
 
@@ -168,12 +172,12 @@ def test_a_robots_own_sensor_goes_before_the_general_one() -> None:
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"input": 4}, "input 4, which is no undecided cloud"),
+        ({"input": 4}, "input 4, which is not an undecided cloud"),
         ({"poses": [(1, 0), (9, 0)]}, r"\(9, 0\), which are not among the poses of rover"),
         ({"poses": [(1, 5), (2, 0)]}, r"\(1, 5\)"),
-        ({"robot": "other"}, "among the poses of other"),
-        ({"poses": [(2, 0), (1, 0)]}, "poses of rover that make no way"),
-        ({"poses": []}, "poses of rover that make no way"),
+        ({"robot": "other"}, "input 3 of other, which is a cloud of rover"),
+        ({"poses": [(2, 0), (1, 0)]}, "poses of rover for input 3 are not a trajectory"),
+        ({"poses": []}, "poses of rover for input 3 are not a trajectory"),
     ],
 )
 def test_events_that_name_what_is_not_there(values: dict[str, object], said: str) -> None:
@@ -187,10 +191,10 @@ def test_checkpoint_and_reset() -> None:
     s = state()
     integrate(s, scan())
     digest = s.map.digest()
-    assert s.apply(CheckpointEvent(epoch=0, sequence=0, digest="0" * 32)) == CheckpointEvent(
+    assert s.follow(CheckpointEvent(epoch=0, sequence=0, digest="0" * 32)) == CheckpointEvent(
         epoch=1, sequence=1, digest=digest
     )
-    assert s.apply(ResetEvent(epoch=0, sequence=0)) == ResetEvent(epoch=2, sequence=2)
+    assert s.follow(ResetEvent(epoch=0, sequence=0)) == ResetEvent(epoch=2, sequence=2)
     assert s.map.digest() == RoughMap().digest()
     assert s.buffer("rover").poses, "what is known of the robots stays"
     assert integrate(s, scan()).sequence == 3

@@ -13,16 +13,17 @@ from roughmap_schemas import (
     Config,
     IntegrationEvent,
     MessageFault,
-    Odometry,
     encode_cloud,
     encode_event,
     encode_odometry,
     encode_transform,
 )
 from roughmap_schemas.kinds import Kind
-from roughmap_service.run.apply import RunState, span
-from roughmap_service.run.fold import Content, decode
-from roughmap_service.run.inbox import Inbox, WaitingCloud
+from roughmap_service.run.decoding import Content, decode
+from roughmap_service.run.duplicates import Duplicates
+from roughmap_service.run.inbox import Arrival
+from roughmap_service.run.placing import span
+from roughmap_service.run.run import Run
 from roughmap_service.run.settings import Settings, new_map
 
 END = 2**32 * SECOND
@@ -79,47 +80,28 @@ class Robot:
         )
 
 
-class Service:
-    """What the sequencer does with a message, without its log."""
+class Feed:
+    """A run, fed with messages as the sequencer does it."""
 
     def __init__(self, values: Config, model: str = "cuboid") -> None:
-        self.state = RunState(Settings(values), MAPS[model])
-        self.state.map.reset()
-        self.inbox = Inbox(self.state.settings, self.state.poses)
-        self.number = 0
+        self.run = Run(Settings(values), MAPS[model])
+        self.run.map.reset()
 
     def take(self, kind: Kind, payload: bytes) -> Content | None:
         """A message; None if the decoders refuse it."""
         try:
-            content = decode(kind, payload, self.state.settings)
+            content = decode(kind, payload, self.run.settings)
         except MessageFault:
             return None
-        self.number += 1
-        if isinstance(content, Cloud):
-            self.state.take_cloud(self.number, content)
-            first, last = span(content)
-            self.inbox.feed(WaitingCloud(self.number, "rover", content, first, last, 0.0, len(payload), promised=False))
-        elif isinstance(content, Odometry):
-            if self.state.take_odometry(self.number, "rover", content)[1]:
-                self.inbox.clock_reset("rover")
-        else:
-            self.state.take_transform(self.number, "rover", content)
+        self.run.take("rover", content, Duplicates.identity("rover", kind, payload), Arrival(0.0))
         return content
 
     def decide(self, now: float = 0.0) -> list[IntegrationEvent]:
         """All that is due; each event as its bytes can be written."""
         done = []
-        while (decision := self.inbox.tick(now)) is not None:
-            event = self.state.apply(
-                IntegrationEvent(
-                    epoch=0, input=decision.cloud.input, robot="rover",
-                    poses=[(pose.input, pose.transform) for pose in decision.poses], outcome=decision.outcome,
-                    accepted=0, rejected={}, sequence=0,
-                )
-            )  # fmt: skip
-            assert isinstance(event, IntegrationEvent)
-            encode_event(event)
-            done.append(event)
+        while (proposal := self.run.decide(now)) is not None:
+            done.append(self.run.place(proposal)())
+            encode_event(done[-1])
         return done
 
 
@@ -131,14 +113,14 @@ def test_nothing_that_can_be_read_can_fail(model: str, patient: bool) -> None:
     values = config(map={"error_model": model}, input=wide if patient else {})
     outcomes: Counter[str] = Counter()
     for seed in range(150):
-        service, robot = Service(values, model), Robot(seed)
+        feed, robot = Feed(values, model), Robot(seed)
         held = 0
         for kind in [Kind.TRANSFORM, *[Kind.ODOMETRY] * 5, *[Kind.POINTS, Kind.ODOMETRY] * 3]:
-            held += isinstance(service.take(kind, robot.message(kind)), Cloud)
-        events = service.decide() + service.decide(now=1.0)
+            held += isinstance(feed.take(kind, robot.message(kind)), Cloud)
+        events = feed.decide() + feed.decide(now=1.0)
         assert len(events) == held, seed
-        assert service.state.clouds == {}, seed
-        service.state.map.digest()
+        assert feed.run.clouds == {}, seed
+        feed.run.map.digest()
         outcomes.update(str(event.outcome) for event in events)
     assert outcomes["integrated"] > 50, "most of this would test nothing else"
 
@@ -146,30 +128,30 @@ def test_nothing_that_can_be_read_can_fail(model: str, patient: bool) -> None:
 @pytest.mark.parametrize("sigma", [0.0, 1e-200, 1e200, 1.7e308])
 def test_any_sigma_that_the_configuration_takes(sigma: float) -> None:
     """Its square may be no number; such a pose says nothing, and its points are rejected."""
-    service = Service(config(input={"pose_sigma": [sigma] * 6, "placed_sigma": sigma}))
+    feed = Feed(config(input={"pose_sigma": [sigma] * 6, "placed_sigma": sigma}))
     for frame in ("lidar", "map"):
-        service.take(Kind.ODOMETRY, encode_odometry(SECOND, "map", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
-        service.take(Kind.POINTS, encode_cloud(np.ones((3, 3)), SECOND, frame))
-    events = service.decide()
+        feed.take(Kind.ODOMETRY, encode_odometry(SECOND, "map", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
+        feed.take(Kind.POINTS, encode_cloud(np.ones((3, 3)), SECOND, frame))
+    events = feed.decide()
     assert [event.outcome for event in events] == (["integrated"] if sigma < 1.0 else ["empty"]) * 2
     assert sigma < 1.0 or all(sum(event.rejected.values()) == 3 for event in events)
 
 
 def test_points_beyond_the_end_of_time_are_waited_for_by_nobody() -> None:
     """No pose can be as late as they would be; the map counts them as `time`."""
-    service = Service(config())
-    service.take(Kind.ODOMETRY, encode_odometry(END - 10, "map", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
-    service.take(Kind.ODOMETRY, encode_odometry(END - 1, "map", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
+    feed = Feed(config())
+    feed.take(Kind.ODOMETRY, encode_odometry(END - 10, "map", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
+    feed.take(Kind.ODOMETRY, encode_odometry(END - 1, "map", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
     times = np.array([0, 4, 5, 6, SECOND])
-    cloud = service.take(Kind.POINTS, encode_cloud(np.ones((5, 3)), END - 5, "lidar", times))
+    cloud = feed.take(Kind.POINTS, encode_cloud(np.ones((5, 3)), END - 5, "lidar", times))
     assert isinstance(cloud, Cloud)
     assert span(cloud) == (END - 5, END - 1)
-    (event,) = service.decide()
+    (event,) = feed.decide()
     assert (event.outcome, event.accepted, event.rejected) == ("integrated", 2, {"time": 3})
 
 
 def test_a_cloud_with_no_time_left_has_its_stamp() -> None:
-    service = Service(config())
-    cloud = service.take(Kind.POINTS, encode_cloud(np.ones((2, 3)), END - 1, "lidar", np.array([1, SECOND])))
+    feed = Feed(config())
+    cloud = feed.take(Kind.POINTS, encode_cloud(np.ones((2, 3)), END - 1, "lidar", np.array([1, SECOND])))
     assert isinstance(cloud, Cloud)
     assert span(cloud) == (END - 1, END - 1)

@@ -10,7 +10,7 @@ import pytest
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from service_tools import Run, config, inputs_of, read_back
+from service_tools import LoggedRun, config, inputs_of, read_back
 
 from roughmap_service.engine.recovery import Recovered, recover
 from roughmap_service.journal.reader import MAGIC, DamagedLog, LogError, last_log_time, raw_records, read_file
@@ -31,13 +31,13 @@ def store(tmp_path: Path) -> Store:
 def three_files(logs: Path, store: Store | None = None, snapshot_in: int = 2) -> list[str]:
     """A run over three files of two scans each; the map's digest at the end of each."""
     digests = []
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         for n in range(3):
             for k in range(2):
                 run.scan(2.0 * n + k, 0.3 * (2 * n + k))
             if store is not None and n == snapshot_in:
                 run.snapshot()
-            digests.append(run.state.map.digest())
+            digests.append(run.run.map.digest())
             if n < 2:
                 run.rotate()
     return digests
@@ -52,7 +52,7 @@ def flip(path: Path, at: float) -> None:
 
 def goes_on(logs: Path, back: Recovered) -> None:
     """The run is taken up again, and what is there is a whole log."""
-    with Run(logs, recovered=back) as run:
+    with LoggedRun(logs, recovered=back) as run:
         run.scan(50.0)
         run.checkpoint()
     assert replay([logs]).difference is None
@@ -66,7 +66,7 @@ def test_a_log_ends_before_its_damage(logs: Path, damaged: int, caplog: pytest.L
     flip(files[damaged], chunk / files[damaged].stat().st_size)
     with caplog.at_level(logging.WARNING):
         back = recover(config(), logs, None)
-    assert back.state.map.digest() == digests[damaged - 1]
+    assert back.run.map.digest() == digests[damaged - 1]
     assert f"{files[damaged]}: damaged at or before byte" in caplog.text
     left = {path.name for path in logs.iterdir()}
     assert f"{files[damaged].name}.torn" in left
@@ -83,7 +83,7 @@ def test_what_the_store_holds_already_may_be_damaged_in_the_log(logs: Path, stor
     with pytest.raises(LogError):
         replay([logs])
     back = recover(config(), logs, store)
-    assert back.state.map.digest() == digests[2]
+    assert back.run.map.digest() == digests[2]
     first.write_bytes(before[0])
     second.write_bytes(before[1])
     goes_on(logs, back)
@@ -94,7 +94,7 @@ def test_a_file_whose_beginning_is_damaged_is_put_aside_whole(logs: Path) -> Non
     path = sorted(logs.iterdir())[1]
     flip(path, path.read_bytes().index(b"base_sequence") / path.stat().st_size)
     back = recover(config(), logs, None)
-    assert back.state.map.digest() == digests[0]
+    assert back.run.map.digest() == digests[0]
     assert path.with_name(path.name + ".torn").exists()
     goes_on(logs, back)
 
@@ -134,7 +134,7 @@ def test_a_damaged_store_is_built_anew(logs: Path, store: Store, what: str, capl
     if what == "page":
         store.path.write_bytes(store.path.read_bytes()[: store.path.stat().st_size // 3])
     back = recover(config(), logs, store)
-    assert (back.state.map.digest(), back.cut) == (digests[2], None)
+    assert (back.run.map.digest(), back.cut) == (digests[2], None)
     assert str(store.path) in caplog.text
     assert store.path.with_name("map.db.damaged").exists()
     assert not store.exists()
@@ -174,7 +174,7 @@ def test_a_last_file_with_nothing_but_its_ends(logs: Path, size: int) -> None:
     last = sorted(logs.iterdir())[-1]
     last.write_bytes(MAGIC.ljust(size - len(MAGIC), b"\0") + MAGIC)
     back = recover(config(), logs, None)
-    assert back.state.map.digest() == digests[1]
+    assert back.run.map.digest() == digests[1]
     assert last.with_name(f"{last.name}.torn").stat().st_size == size
     goes_on(logs, back)
 
@@ -192,7 +192,7 @@ def test_a_damage_behind_all_that_a_file_holds_of_the_run(logs: Path, damaged: i
     with pytest.raises(DamagedLog):
         read_back(logs)
     back = recover(config(), logs, None)
-    assert back.state.map.digest() == digests[-1]
+    assert back.run.map.digest() == digests[-1]
     assert read_back(logs) == whole
     assert {file.name for file in logs.glob("*.mcap?*")} == {f"{path.name}.torn"}
     goes_on(logs, back)
@@ -201,46 +201,46 @@ def test_a_damage_behind_all_that_a_file_holds_of_the_run(logs: Path, damaged: i
 @pytest.mark.parametrize("whole", [True, False], ids=["whole run", "its beginning deleted"])
 def test_a_damage_before_the_cut_in_the_cut_s_file(logs: Path, store: Store, whole: bool) -> None:
     """The log ends before the store: the map is the log's, or, where that can't be had, the store's; epochs rise."""
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         run.scan(0.0)
         run.rotate()
-        first = run.state.map.digest()
+        first = run.run.map.digest()
         run.reset()
         run.scan(1.0)
         assert run.writer.wait_synced(30.0)
         run.scan(2.0)
         run.snapshot()
-        stored = run.state.map.digest()
+        stored = run.run.map.digest()
         run.scan(3.0)
         run.checkpoint()
-        epoch = run.state.epoch
+        epoch = run.run.epoch
     files = sorted(logs.iterdir())
     if not whole:
         files[0].unlink()
     data = files[1].read_bytes()
     flip(files[1], data.index(PointCloud.DESCRIPTOR.full_name.encode()) / len(data))
     back = recover(config(), logs, store)
-    assert back.state.map.digest() == (first if whole else stored)
+    assert back.run.map.digest() == (first if whole else stored)
     assert back.epoch > epoch
     kept = f"{files[1].name}.{'torn' if whole else 'behind'}"
     assert logs.joinpath(kept).exists()
-    with Run(logs, recovered=back, store=store) as run:
+    with LoggedRun(logs, recovered=back, store=store) as run:
         run.scan(50.0)
         run.snapshot()
-        after = run.state.map.digest()
+        after = run.run.map.digest()
     again = recover(config(), logs, store)
-    assert again.state.map.digest() == after
+    assert again.run.map.digest() == after
     assert again.epoch > back.epoch
 
 
 def test_epochs_rise_where_a_file_that_told_of_one_is_gone(logs: Path, store: Store) -> None:
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         run.scan(0.0)
         run.checkpoint()
-    with Run(logs, recovered=recover(config(), logs, store), store=store) as run:
+    with LoggedRun(logs, recovered=recover(config(), logs, store), store=store) as run:
         run.scan(1.0)
         run.snapshot()
-        epoch = run.state.epoch
+        epoch = run.run.epoch
     sorted(logs.iterdir())[-1].unlink()
     assert recover(config(), logs, store).epoch > epoch
 
@@ -282,8 +282,8 @@ def test_epochs_of_what_is_lost_do_not_come_again_though_the_start_after_it_ende
     """By a kill or a stop, before it had begun a file of its own."""
     three_files(logs)
     for _ in range(3):
-        with Run(logs, recovered=recover(config(), logs, None)) as run:
-            epoch = run.state.epoch
+        with LoggedRun(logs, recovered=recover(config(), logs, None)) as run:
+            epoch = run.run.epoch
     first = sorted(logs.iterdir())[0]
     flip(first, first.read_bytes().index(b"robots/rover/points") / first.stat().st_size)
     assert recover(config(), logs, None).epoch > epoch

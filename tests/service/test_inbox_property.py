@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from service_tools import LEVEL, PRECISE, T0, config
 
 from roughmap_schemas import Cloud, CloudReason, Odometry
-from roughmap_service.run.inbox import INTEGRATED, Decision, Inbox, WaitingCloud
+from roughmap_service.run.inbox import INTEGRATED, Arrival, Inbox, LoggedCloud, Proposal
 from roughmap_service.run.poses import PoseBuffer
 from roughmap_service.run.settings import Settings
 
@@ -36,13 +36,15 @@ def test_one_decision_a_cloud_in_order(row: list[tuple]) -> None:
     poses = {robot: PoseBuffer("map", SETTINGS.history_ns, 1.0, 1.0) for robot in ROBOTS}
     inbox = Inbox(SETTINGS, poses)
     fed: dict[str, list[int]] = defaultdict(list)
-    clouds: dict[int, WaitingCloud] = {}
-    decisions: list[Decision] = []
+    clouds: dict[int, LoggedCloud] = {}
+    stamps: dict[int, int] = {}
+    decisions: list[Proposal] = []
     now = 0.0
     for number, (kind, *values) in enumerate(row, 1):
         if kind == "pose":
             robot, t = values
-            message = Odometry(T0 + t * TENTH, "map", "base", (0.0, 0.0, 0.0), LEVEL, PRECISE)
+            stamps[number] = T0 + t * TENTH
+            message = Odometry(stamps[number], "map", "base", (0.0, 0.0, 0.0), LEVEL, PRECISE)
             if poses[robot].add(message, number)[1]:
                 inbox.clock_reset(robot)
         elif kind == "cloud":
@@ -51,7 +53,9 @@ def test_one_decision_a_cloud_in_order(row: list[tuple]) -> None:
                 continue
             first = T0 + t * TENTH + 1
             held = Cloud("map" if placed else "lidar", first, np.zeros((1, 3)), None)
-            clouds[number] = WaitingCloud(number, robot, held, first, first + long * TENTH, now, size, ingested)
+            clouds[number] = LoggedCloud(
+                number, robot, held, first, first + long * TENTH, size, Arrival(now, promised=ingested)
+            )
             fed[robot].append(number)
             inbox.feed(clouds[number])
             assert inbox.size <= SETTINGS.queue_limit, "the limit holds, whatever has been fed"
@@ -62,7 +66,6 @@ def test_one_decision_a_cloud_in_order(row: list[tuple]) -> None:
             while (decision := inbox.tick(now)) is not None:
                 decisions.append(decision)
         undecided = set(clouds) - {d.cloud.input for d in decisions}
-        assert inbox.oldest_input() == min(undecided, default=None)
         waiting = [clouds[n] for n in undecided - {d.cloud.input for d in inbox.ended}]
         assert inbox.size == sum(cloud.size for cloud in waiting)
         for robot in ROBOTS:
@@ -75,13 +78,13 @@ def test_one_decision_a_cloud_in_order(row: list[tuple]) -> None:
         decisions.append(decision)
 
     assert sorted(d.cloud.input for d in decisions) == sorted(clouds)
-    assert (inbox.size, inbox.queues, inbox.deadline(), inbox.oldest_input()) == (0, {}, None, None)
+    assert (inbox.size, inbox.queues, inbox.deadline()) == (0, {}, None)
     for robot in ROBOTS:
         in_turn = [d.cloud.input for d in decisions if d.cloud.robot == robot and d.outcome not in OUT_OF_TURN]
         assert in_turn == sorted(in_turn)
     for decision in decisions:
         cloud = decision.cloud
-        assert not (cloud.promised and decision.outcome == CloudReason.OVERLOAD)
+        assert not (cloud.arrival.promised and decision.outcome == CloudReason.OVERLOAD)
         if decision.outcome == INTEGRATED and cloud.cloud.frame_id == "lidar":
-            assert decision.poses[0].stamp_ns <= cloud.first_ns
-            assert decision.poses[-1].stamp_ns >= cloud.last_ns
+            assert stamps[decision.poses[0][0]] <= cloud.first_ns
+            assert stamps[decision.poses[-1][0]] >= cloud.last_ns

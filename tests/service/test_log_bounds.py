@@ -2,22 +2,25 @@
 
 import io
 import threading
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from net import Gathered, wait_for
-from service_tools import T0, WAIT_S, Run, cloud, metadata
-from test_decider import memory
+from service_tools import T0, WAIT_S, LoggedRun, cloud, metadata
+from test_live_run import memory
 from test_log_writer_faults import Stuck
 
 from roughmap_schemas.kinds import Kind
+from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.sequencer import Intervals, Sequencer
 from roughmap_service.host.counters import Counters
-from roughmap_service.inputs.queue import InputMessage, Intake
-from roughmap_service.journal.file import LogRecord
+from roughmap_service.inputs.queue import InputMessage, InputQueue
 from roughmap_service.journal.items import RECORD_OVERHEAD, Sync
+from roughmap_service.journal.recorder import Recorder
+from roughmap_service.journal.records import LogRecord
 from roughmap_service.journal.writer import LogWriter
 
 LIMIT = 10_000
@@ -60,7 +63,8 @@ def test_the_queue_has_its_limit_and_half_of_it_is_the_runs_alone(tmp_path: Path
 def test_what_comes_in_waits_for_the_disk_and_takes_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It waits where it is bounded and counted: before it is taken up."""
     disk, decided = Disk(), Gathered[bytes]()
-    with Run(tmp_path / "log", open_file=disk.open) as run, memory(tmp_path) as enough:
+    monkeypatch.setattr("service_tools.LogWriter", partial(LogWriter, queue_limit=LIMIT))
+    with LoggedRun(tmp_path / "log", open_file=disk.open) as run, memory(tmp_path) as enough:
         writer, full, held = run.writer, threading.Event(), []
         wait_room, put = writer.wait_room, writer.put
 
@@ -73,19 +77,19 @@ def test_what_comes_in_waits_for_the_disk_and_takes_no_memory(tmp_path: Path, mo
             put(item)
             held.append(writer.held)
 
-        monkeypatch.setattr(writer, "_queue_limit", LIMIT)
         monkeypatch.setattr(writer, "wait_room", waiting)
         monkeypatch.setattr(writer, "put", putting)
-        intake, counters = Intake(1 << 20, Counters()), Counters()
+        intake, counters = InputQueue(1 << 20, Counters()), Counters()
+        live = LiveRun(run.run, run.view, writer, Recorder(writer, run.keys), counters, enough, decided)
         sequencer = Sequencer(
-            run.state, run.view, writer, intake, counters, enough, run.duplicates, run.keys,
-            Intervals(3600.0, 3600.0), publish_event=decided, take_snapshot=lambda: None, before_reset=lambda _: None,
+            live, intake, writer, enough, Intervals(3600.0, 3600.0), take_snapshot=lambda: None,
+            before_reset=lambda _: None,
         )  # fmt: skip
         for number in range(CLOUDS):
             payload = cloud(number, frame="map", points=np.ones((36, 3)))
             intake.put(InputMessage(Kind.POINTS, "rover", payload, T0, 0.0))
         disk.files[0].free.clear()
-        sequencer.start([])
+        sequencer.start()
         wait_for(full, "the queue to be full, and the sequencer to wait")
         disk.files[0].free.set()
         decided.wait(lambda events: len(events) >= CLOUDS, "all clouds")

@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from service_tools import Run, read_back
+from service_tools import LoggedRun, read_back
 
-from roughmap_service.journal.reader import LogError, LogItem, RunFile, TornLog, read_file, read_metadata, read_run
+from roughmap_service.journal.reader import LogError, TornLog, read_file, read_metadata
+from roughmap_service.journal.records import LogItem
+from roughmap_service.journal.run_files import RunFile, read_run
 
 
 @pytest.fixture(scope="module")
 def closed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of a run, with its footer."""
     directory = tmp_path_factory.mktemp("log")
-    with Run(directory) as run:
+    with LoggedRun(directory) as run:
         for n in range(3):
             run.scan(float(n))
             run.checkpoint()
@@ -53,7 +55,7 @@ def test_noise_is_told(closed: Path, tmp_path: Path, place: float, length: int, 
 
 def test_a_tear_in_the_midst_of_a_run_is_a_gap_only_if_something_is_missing(tmp_path: Path) -> None:
     """A file left behind when the disk failed has no footer, and what it lacks is first in the next one."""
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         run.scan(0.0)
         run.rotate()
         run.scan(1.0)

@@ -15,8 +15,9 @@ from service_tools import T0, WAIT_S, inputs_of, metadata, odometry, read_back, 
 
 from roughmap_schemas.kinds import Kind
 from roughmap_service.journal import writer as log_writer
-from roughmap_service.journal.file import LogRecord, file_name
+from roughmap_service.journal.file import file_name
 from roughmap_service.journal.items import Rotate, Sync
+from roughmap_service.journal.records import LogRecord
 from roughmap_service.journal.writer import LogWriter
 
 RUN = metadata().run
@@ -97,9 +98,9 @@ class Noticed(logging.Handler):
 @pytest.fixture
 def noticed() -> Iterator[Noticed]:
     handler = Noticed()
-    log_writer.log.addHandler(handler)
+    log_writer.logger.addHandler(handler)
     yield handler
-    log_writer.log.removeHandler(handler)
+    log_writer.logger.removeHandler(handler)
 
 
 operations = st.tuples(st.sampled_from(["open", "write", "fsync"]), st.integers(1, 25))

@@ -14,21 +14,23 @@ from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
-from service_tools import GROUND, T0, WAIT_S, Run, cloud, config, metadata, odometry, transform
+from service_tools import GROUND, T0, WAIT_S, LoggedRun, cloud, config, metadata, odometry, transform
 
 from roughmap_schemas import RunMetadata, encode_cloud
 from roughmap_schemas.kinds import Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
-from roughmap_service.journal.file import LogFile, LogRecord
+from roughmap_service.journal.file import LogFile
 from roughmap_service.journal.items import Rotate, Sync
-from roughmap_service.journal.reader import find_files, read_metadata
+from roughmap_service.journal.reader import read_metadata
+from roughmap_service.journal.records import LogRecord
+from roughmap_service.journal.run_files import find_files
 from roughmap_service.journal.writer import LogWriter
 
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     """A closed file with all that a run has."""
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         run.put(Kind.TRANSFORM, transform(0.0))
         run.scan(0.0)
         run.checkpoint()
@@ -113,7 +115,7 @@ def test_events_are_what_the_embedded_schema_says(file: Path) -> None:
 
 def test_inputs_are_their_exact_bytes_and_numbered(tmp_path: Path) -> None:
     payloads = [odometry(0.0), cloud(0.05), odometry(0.1), transform(0.1)]
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         for kind, payload in zip((Kind.ODOMETRY, Kind.POINTS, Kind.ODOMETRY, Kind.TRANSFORM), payloads, strict=True):
             run.put(kind, payload)
     (path,) = tmp_path.glob("*.mcap")
@@ -135,7 +137,7 @@ def test_log_time_is_the_receive_time_made_to_rise(tmp_path: Path) -> None:
 
 
 def test_times_rise_over_files(tmp_path: Path) -> None:
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         for k in range(3):
             run.scan(float(k))
             run.rotate()
@@ -173,7 +175,7 @@ def test_a_file_is_never_written_over(tmp_path: Path) -> None:
 
 def test_what_was_synced_is_on_the_disk_and_whole(tmp_path: Path) -> None:
     """Without the footer, as after a kill: the stock reader gives all that was synced, then says that it's torn."""
-    with Run(tmp_path / "log") as run:
+    with LoggedRun(tmp_path / "log") as run:
         run.scan(0.0)
         left = run.killed(tmp_path / "left")
     (path,) = left.glob("*.mcap")
@@ -199,7 +201,7 @@ def test_one_failing_callback_keeps_no_other_from_being_called(
         raise RuntimeError("the asker's own fault")
 
     called: list[int] = []
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         run.writer.put(Sync(fail))
         run.writer.put(Sync(lambda: called.append(1)))
         run.writer.put(Sync(fail))

@@ -3,25 +3,25 @@
 from pathlib import Path
 
 import pytest
-from service_tools import SECOND, T0, WAIT_S, Run, metadata
+from service_tools import SECOND, T0, WAIT_S, LoggedRun, metadata
 
 from roughmap_schemas.kinds import Kind
-from roughmap_service.journal.file import LogRecord
 from roughmap_service.journal.items import Rotate
 from roughmap_service.journal.keep import Needed, delete_oldest
-from roughmap_service.journal.reader import find_files
+from roughmap_service.journal.records import LogRecord
+from roughmap_service.journal.run_files import find_files
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.store.map_db import Cut
 from roughmap_service.store.snapshots import cut_of
 
 
-def three_files(run: Run) -> Cut:
+def three_files(run: LoggedRun) -> Cut:
     """Two scans, each with a file, and the file that is written to; where the run stands then."""
     for t in range(2):
         run.scan(float(t))
         run.rotate()
     assert run.writer.wait_synced(WAIT_S)
-    return cut_of(run.run, run.config, run.state, run.inbox, run.duplicates)
+    return run.cut()
 
 
 def needed(cut: Cut) -> Needed:
@@ -31,20 +31,20 @@ def needed(cut: Cut) -> Needed:
 
 @pytest.mark.parametrize(("keep", "left"), [(0, 1), (1 << 40, 3)])
 def test_keep_deletes_oldest_files_that_the_cut_spares(tmp_path: Path, keep: int, left: int) -> None:
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         cut = three_files(run)
         delete_oldest(run.writer.path, needed(cut), keep)
         assert len(find_files([tmp_path])) == left
 
 
 def test_what_the_cut_needs_stays_and_other_runs_do_not(tmp_path: Path) -> None:
-    with Run(tmp_path) as old:
+    with LoggedRun(tmp_path) as old:
         three_files(old)
-    with Run(tmp_path, created_ns=T0 + SECOND) as run:
-        early = cut_of(run.run, run.config, run.state, run.inbox, run.duplicates)
+    with LoggedRun(tmp_path, created_ns=T0 + SECOND) as run:
+        early = run.cut()
         three_files(run)
         delete_oldest(run.writer.path, needed(early), 0)
-        assert [file.metadata.run for file in find_files([tmp_path])] == [run.run] * 3
+        assert [file.metadata.run for file in find_files([tmp_path])] == [run.run_id] * 3
 
 
 def test_runs_go_by_their_age_and_not_by_their_names(tmp_path: Path) -> None:
@@ -54,14 +54,14 @@ def test_runs_go_by_their_age_and_not_by_their_names(tmp_path: Path) -> None:
         directory = tmp_path / str(ages)
         files: dict[int, list[Path]] = {}
         for age in range(3):
-            run = Run(directory, created_ns=T0 + age * SECOND)
+            run = LoggedRun(directory, created_ns=T0 + age * SECOND)
             with run:
                 cut = three_files(run)
                 current = run.writer.path
-            own = sorted(directory.glob(f"roughmap-{run.run}-*.mcap"))
+            own = sorted(directory.glob(f"roughmap-{run.run_id}-*.mcap"))
             name = names[ages[age]]
-            files[age] = [path.rename(directory / path.name.replace(run.run, name)) for path in own]
-            current, cut = files[age][-1], cut_of(name, run.config, run.state, run.inbox, run.duplicates)
+            files[age] = [path.rename(directory / path.name.replace(run.run_id, name)) for path in own]
+            current, cut = files[age][-1], cut_of(name, run.config, run.run)
         spared = sum(path.stat().st_size for path in files[1][1:] + files[2])
         assert delete_oldest(current, needed(cut), spared) == [*files[0], files[1][0]]
         assert delete_oldest(current, needed(cut), 0) == [*files[1][1:], *files[2][:2]]
@@ -74,13 +74,13 @@ def test_what_a_repair_left_goes_with_its_file_and_what_is_foreign_stays(tmp_pat
         path.write_bytes(bytes(1 << 16))
     unread = tmp_path / f"roughmap-{'0' * 32}-000000.mcap"  # of which only its name tells that it is ours
     unread.write_bytes(b"damaged")
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         cut = three_files(run)
-        first = tmp_path / f"roughmap-{run.run}-000000.mcap"
+        first = tmp_path / f"roughmap-{run.run_id}-000000.mcap"
         behind, torn = (first.with_name(first.name + end) for end in (".behind", ".torn.1"))
         for path in (behind, torn):
             path.write_bytes(bytes(1 << 16))
-        total = sum(path.stat().st_size for path in tmp_path.glob(f"roughmap-{run.run}*"))
+        total = sum(path.stat().st_size for path in tmp_path.glob(f"roughmap-{run.run_id}*"))
         gone = delete_oldest(run.writer.path, needed(cut), total - first.stat().st_size - 1)
         assert [path for path in gone if path != unread] == [first, behind]
         delete_oldest(run.writer.path, needed(cut), 0)
@@ -89,9 +89,9 @@ def test_what_a_repair_left_goes_with_its_file_and_what_is_foreign_stays(tmp_pat
 
 def test_a_file_that_cannot_go_ends_it(tmp_path: Path) -> None:
     """A later one would leave a gap."""
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         cut = three_files(run)
-        second = tmp_path / f"roughmap-{run.run}-000001.mcap"
+        second = tmp_path / f"roughmap-{run.run_id}-000001.mcap"
         second.write_bytes(b"damaged")
         assert delete_oldest(run.writer.path, needed(cut), 0) == []
 

@@ -6,16 +6,18 @@ from pathlib import Path
 import pytest
 from log_edits import nth, rewrite
 from mcap.writer import CompressionType, Writer
-from service_tools import T0, Run, cloud, config, events_of, inputs_of, metadata, odometry, read_back, starts_of
+from service_tools import T0, LoggedRun, cloud, config, events_of, inputs_of, metadata, odometry, read_back, starts_of
 
 from roughmap_schemas import Config, encode_event
 from roughmap_schemas.kinds import Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
-from roughmap_service.journal.file import LogFile, LogRecord
-from roughmap_service.journal.reader import LogError, LogItem, RunFile, find_files, one_run, read_file, read_run
+from roughmap_service.journal.file import LogFile
+from roughmap_service.journal.reader import LogError, read_file
+from roughmap_service.journal.records import LogItem, LogRecord
+from roughmap_service.journal.run_files import RunFile, find_files, one_run, read_run
 
 
-def scans(run: Run, count: int = 2) -> None:
+def scans(run: LoggedRun, count: int = 2) -> None:
     for k in range(count):
         run.scan(float(k), 0.3 * k)
         run.checkpoint()
@@ -24,7 +26,7 @@ def scans(run: Run, count: int = 2) -> None:
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     """A closed file of a run."""
-    with Run(tmp_path / "log") as run:
+    with LoggedRun(tmp_path / "log") as run:
         scans(run)
     (path,) = (tmp_path / "log").glob("*.mcap")
     return path
@@ -41,11 +43,12 @@ def one_line(path: Path, words: str) -> None:
 
 
 def test_all_in_file_order_with_their_numbers(tmp_path: Path) -> None:
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         scans(run)
         run.rotate()
-        scans(run, 1)
-        expected = run.state.input, run.state.record
+        run.scan(9.0)
+        run.checkpoint()
+        expected = run.run.input, run.run.record
     items = read_back(tmp_path)
     inputs, events = inputs_of(items), [item for item in items if not hasattr(item, "path")]
     assert [item.number for item in inputs] == list(range(1, expected[0] + 1))
@@ -92,9 +95,9 @@ def test_keys_are_those_of_the_files_own_configuration(tmp_path: Path) -> None:
 def test_what_is_no_log(tmp_path: Path, file: Path) -> None:
     text = tmp_path / "text.mcap"
     text.write_text("this is no MCAP file, though it is called one\n" * 10)
-    one_line(text, "is no MCAP file")
+    one_line(text, "not an MCAP file")
     text.write_text("short")
-    one_line(text, "is no MCAP file")
+    one_line(text, "not an MCAP file")
     foreign = tmp_path / "foreign.mcap"
     with foreign.open("wb") as stream:
         writer = Writer(stream)
@@ -103,7 +106,7 @@ def test_what_is_no_log(tmp_path: Path, file: Path) -> None:
         channel = writer.register_channel("topic", "json", 0)
         writer.add_message(channel, 1, b"{}", 1)
         writer.finish()
-    one_line(foreign, "no log of roughmap")
+    one_line(foreign, "not a log of roughmap")
     empty = tmp_path / "empty.mcap"
     empty.touch()
     one_line(empty, "ends before its footer")
@@ -186,7 +189,7 @@ def test_a_damaged_length_is_no_allocation(compression: CompressionType, tmp_pat
 
 
 def test_files_are_ordered_by_run_and_index_and_each_is_there_once(tmp_path: Path) -> None:
-    with Run(tmp_path / "log") as run:
+    with LoggedRun(tmp_path / "log") as run:
         for k in range(3):
             run.scan(float(k))
             run.rotate()
@@ -198,7 +201,7 @@ def test_files_are_ordered_by_run_and_index_and_each_is_there_once(tmp_path: Pat
 
 
 def test_gaps_are_named(tmp_path: Path) -> None:
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         for k in range(3):
             run.scan(float(k))
             run.rotate()

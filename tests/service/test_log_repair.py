@@ -15,17 +15,10 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from replay_tools import replay
-from service_tools import WAIT_S, Run, events_of, inputs_of, read_back
+from service_tools import WAIT_S, LoggedRun, events_of, inputs_of, read_back
 
-from roughmap_service.journal.reader import (
-    EventRecord,
-    FileStart,
-    InputRecord,
-    LogItem,
-    TornLog,
-    read_file,
-    read_metadata,
-)
+from roughmap_service.journal.reader import TornLog, read_file, read_metadata
+from roughmap_service.journal.records import EventRecord, FileStart, InputRecord, LogItem
 from roughmap_service.journal.repair import repair
 
 
@@ -33,7 +26,7 @@ from roughmap_service.journal.repair import repair
 def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file as a kill leaves it, in many chunks: each scan and checkpoint was synced before the next."""
     folder = tmp_path_factory.mktemp("left")
-    with Run(folder / "log") as run:
+    with LoggedRun(folder / "log") as run:
         for k in range(3):
             run.scan(float(k), 0.3 * k)
             run.checkpoint()

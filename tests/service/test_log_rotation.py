@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_tools import T0, WAIT_S, Run, events_of, inputs_of, metadata, odometry, read_back, starts_of
+from service_tools import T0, WAIT_S, LoggedRun, events_of, inputs_of, metadata, odometry, read_back, starts_of
 
 from roughmap_schemas.kinds import Kind
-from roughmap_service.journal.file import LogRecord
 from roughmap_service.journal.items import Rotate
+from roughmap_service.journal.records import LogRecord
 from roughmap_service.journal.writer import LogWriter
 
 
@@ -17,7 +17,7 @@ def point(number: int, received: int, stamp: int = T0) -> LogRecord:
 
 
 def test_numbers_go_on_over_files(tmp_path: Path) -> None:
-    with Run(tmp_path) as run:
+    with LoggedRun(tmp_path) as run:
         run.scan(0.0)
         run.rotate()
         run.rotate()
@@ -31,7 +31,7 @@ def test_numbers_go_on_over_files(tmp_path: Path) -> None:
     assert [item.number for item in inputs_of(items)] == [1, 2, 3, 4, 5, 6]
     assert [item.record for item in items if hasattr(item, "record")] == list(range(1, 11))
     assert events_of(items)[-1].sequence == 2
-    assert sorted(path.name for path in tmp_path.iterdir()) == [f"roughmap-{run.run}-{n:06d}.mcap" for n in range(3)]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"roughmap-{run.run_id}-{n:06d}.mcap" for n in range(3)]
 
 
 @pytest.mark.parametrize("limit", ["bytes", "age"])

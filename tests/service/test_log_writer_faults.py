@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_tools import WAIT_S, Run, events_of, inputs_of, read_back, starts_of
+from service_tools import WAIT_S, LoggedRun, events_of, inputs_of, read_back, starts_of
 
 from roughmap_schemas.kinds import Kind
 from roughmap_service.journal import writer as log_writer
-from roughmap_service.journal.file import LogRecord
 from roughmap_service.journal.items import Sync
+from roughmap_service.journal.records import LogRecord
 
 
 class FullDisk(io.FileIO):
@@ -34,7 +34,7 @@ def test_what_a_full_disk_would_not_take_is_first_in_the_next_file(tmp_path: Pat
         opened.append(FullDisk(path, "xb"))
         return io.BufferedWriter(opened[-1])
 
-    with Run(tmp_path, open_file=open_file) as run:
+    with LoggedRun(tmp_path, open_file=open_file) as run:
         run.scan(0.0)
         assert run.writer.wait_synced(WAIT_S)
         opened[0].limit = opened[0].tell()
@@ -80,7 +80,7 @@ def test_a_disk_that_hangs_is_one_that_cannot_be_written(
     caplog.set_level(logging.INFO)
     answers: list[str] = []
     output = LogRecord(Kind.QUERIES, "maps/site/queries", b"{}", 0, 0)
-    with Run(tmp_path, open_file=open_file) as run:
+    with LoggedRun(tmp_path, open_file=open_file) as run:
         run.scan(0.0)
         assert run.writer.wait_synced(WAIT_S)
         run.writer.look()
@@ -116,7 +116,7 @@ def test_a_disk_without_room_for_a_footer_gets_no_more_files(tmp_path: Path, cap
         opened.append(FullDisk(path, "xb"))
         return io.BufferedWriter(opened[-1])
 
-    with Run(tmp_path, open_file=open_file) as run:
+    with LoggedRun(tmp_path, open_file=open_file) as run:
         event = run.scan(0.0)
         assert run.writer.wait_synced(WAIT_S)
         opened[0].limit = opened[0].tell()
@@ -143,7 +143,7 @@ def test_a_file_for_whose_beginning_there_was_no_memory_is_made_anew(
         return io.BufferedWriter(File(path, "xb"))
 
     monkeypatch.setattr(log_writer, "RETRY_SECONDS", 0.01)
-    with Run(tmp_path, open_file=open_file) as run:
+    with LoggedRun(tmp_path, open_file=open_file) as run:
         run.scan(0.0)
         run.rotate()
         run.scan(1.0)

@@ -11,13 +11,13 @@ from spill_tools import Disk, leave
 
 from roughmap import RoughMap, TooManyTiles
 from roughmap.tiles.slots import SLOT_BYTES
-from roughmap_service.store.memory_limit import Memory, memory_bytes
+from roughmap_service.store.memory_limit import MemoryLimit, memory_bytes
 from roughmap_service.store.spill import Spill
 
 
-def pressed(spill: Spill, m: RoughMap) -> tuple[Memory, Callable[[], None]]:
+def pressed(spill: Spill, m: RoughMap) -> tuple[MemoryLimit, Callable[[], None]]:
     """Memory that counts tiles alone, 32 of them allowed, and a way to relieve it."""
-    memory = Memory(32 * SLOT_BYTES, spill, measure=lambda: m.resident_tiles * SLOT_BYTES)
+    memory = MemoryLimit(32 * SLOT_BYTES, spill, measure=lambda: m.resident_tiles * SLOT_BYTES)
     memory._before = 0
     return memory, lambda: memory.relieve(lambda: nullcontext(m))
 

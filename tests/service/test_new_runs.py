@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import zstandard
 from log_edits import nth, rewrite
-from service_tools import Run, config
+from service_tools import LoggedRun, config
 
 from roughmap import CELL_DTYPE, RoughMap
 from roughmap_service.engine.recovery import begin_anew, recover
-from roughmap_service.run.apply import RunError
+from roughmap_service.run.run import RunError
 from roughmap_service.store.map_db import OtherStateVersion, Store, StoreError
 
 
@@ -28,8 +28,8 @@ def store(tmp_path: Path) -> Store:
     return Store(tmp_path / "50% of #1?" / "map.db")
 
 
-def drive(logs: Path, store: Store | None = None) -> Run:
-    with Run(logs, store=store) as run:
+def drive(logs: Path, store: Store | None = None) -> LoggedRun:
+    with LoggedRun(logs, store=store) as run:
         for n in range(2):
             run.scan(float(n))
             run.checkpoint()
@@ -43,18 +43,18 @@ def other_digest(payload: bytes) -> bytes:
 
 
 def test_what_begins_anew_is_the_newest_whatever_the_clock_says(logs: Path) -> None:
-    with Run(logs, created_ns=10**18) as old:
+    with LoggedRun(logs, created_ns=10**18) as old:
         old.scan(0.0)
         old.checkpoint()
     (logs / "roughmap-holiday.mcap").write_bytes(b"no log")
     (logs / f"roughmap-{'f' * 32}-000000.mcap").write_bytes(b"no log either")
     anew = begin_anew(config(), logs)
-    assert (anew.run, anew.epoch, anew.state.map.sequence) == (None, 1, 0)
+    assert (anew.run_id, anew.epoch, anew.run.map.sequence) == (None, 1, 0)
     assert anew.not_before_ns == 10**18 + 1
-    with Run(logs, recovered=anew, created_ns=max(5, anew.not_before_ns)) as new:
+    with LoggedRun(logs, recovered=anew, created_ns=max(5, anew.not_before_ns)) as new:
         new.scan(0.0)
     (logs / f"roughmap-{'f' * 32}-000000.mcap").unlink()
-    assert recover(config(), logs, None).run == new.run != old.run
+    assert recover(config(), logs, None).run_id == new.run_id != old.run_id
 
 
 def test_nothing_to_be_newer_than(tmp_path: Path) -> None:
@@ -72,13 +72,13 @@ def test_a_checkpoint_that_comes_out_otherwise(logs: Path, own: bool, caplog: py
         with pytest.raises(RunError, match="can't be followed"):
             recover(config(), logs, None)
     else:
-        assert recover(config(), logs, None).state.map.digest() == run.state.map.digest()
+        assert recover(config(), logs, None).run.map.digest() == run.run.map.digest()
         assert "of another version" in caplog.text
 
 
 def test_a_store_is_put_aside_by_its_run(logs: Path, store: Store) -> None:
     run = drive(logs, store)
-    assert store.set_aside().name == f"map.db.{run.run}"
+    assert store.set_aside().name == f"map.db.{run.run_id}"
     assert not store.exists()
 
 
@@ -89,7 +89,7 @@ def test_a_store_of_another_version_is_put_aside_too(logs: Path, store: Store) -
         db.execute("UPDATE cut SET name = 'something' WHERE name = 'poses'")
     with pytest.raises(OtherStateVersion):
         store.read_cut()
-    assert store.set_aside().name == f"map.db.{run.run}"
+    assert store.set_aside().name == f"map.db.{run.run_id}"
 
 
 @pytest.mark.parametrize(("run", "name"), [("", "empty"), ('"../../etc"', "unknown"), (None, "empty")])

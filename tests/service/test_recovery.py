@@ -6,17 +6,18 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from service_tools import Run, cloud, config, metadata, odometry, read_back
+from service_tools import LoggedRun, cloud, config, metadata, odometry, read_back
 
 from roughmap_schemas.kinds import Kind
-from roughmap_service.engine.recovery import IdentityError, Recovered, recover
+from roughmap_service.engine.newest_run import IdentityError
+from roughmap_service.engine.recovery import Recovered, recover
 from roughmap_service.journal.reader import LogError
 from roughmap_service.offline.replay import replay
-from roughmap_service.run.apply import RunError
+from roughmap_service.run.run import RunError
 from roughmap_service.store.map_db import Store, StoreError
 
 
-def drive(run: Run, first: int = 0, scans: int = 3) -> None:
+def drive(run: LoggedRun, first: int = 0, scans: int = 3) -> None:
     """Some scans, a checkpoint after each."""
     for k in range(first, first + scans):
         run.scan(float(k), 0.3 * k)
@@ -24,7 +25,7 @@ def drive(run: Run, first: int = 0, scans: int = 3) -> None:
 
 
 def digest(recovered: Recovered) -> str:
-    return recovered.state.map.digest()
+    return recovered.run.map.digest()
 
 
 @pytest.fixture
@@ -38,52 +39,52 @@ def store(tmp_path: Path) -> Store:
 
 
 def test_from_the_log_alone(logs: Path) -> None:
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         drive(run)
     back = recover(config(), logs, None)
-    assert (digest(back), back.run, back.index, back.epoch) == (run.state.map.digest(), run.run, 1, 2)
-    assert (back.state.input, back.state.record) == (run.state.input, run.state.record)
-    assert back.state.poses["rover"].to_state() == run.state.poses["rover"].to_state()
-    assert back.duplicates.to_state() == run.duplicates.to_state()
-    assert replay([logs]).state.map.digest() == digest(back)
+    assert (digest(back), back.run_id, back.index, back.epoch) == (run.run.map.digest(), run.run_id, 1, 2)
+    assert (back.run.input, back.run.record) == (run.run.input, run.run.record)
+    assert back.run.poses["rover"].to_state() == run.run.poses["rover"].to_state()
+    assert back.run.duplicates.to_state() == run.run.duplicates.to_state()
+    assert replay([logs]).run.map.digest() == digest(back)
 
 
 def test_nothing_there_is_a_beginning(logs: Path, store: Store) -> None:
     logs.mkdir()
     back = recover(config(), logs, store)
-    assert (back.run, back.index, back.epoch, back.state.map.sequence) == (None, 0, 1, 0)
+    assert (back.run_id, back.index, back.epoch, back.run.map.sequence) == (None, 0, 1, 0)
 
 
 @pytest.mark.parametrize("behind", [0, 2])
 def test_from_the_store_and_what_the_log_has_behind_it(logs: Path, store: Store, behind: int) -> None:
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         drive(run)
         run.snapshot()
         drive(run, 3, behind)
     back = recover(config(), logs, store)
-    assert digest(back) == run.state.map.digest()
-    assert back.state.map.sequence == run.state.map.sequence
-    assert back.state.poses["rover"].to_state() == run.state.poses["rover"].to_state()
-    assert back.duplicates.to_state() == run.duplicates.to_state()
+    assert digest(back) == run.run.map.digest()
+    assert back.run.map.sequence == run.run.map.sequence
+    assert back.run.poses["rover"].to_state() == run.run.poses["rover"].to_state()
+    assert back.run.duplicates.to_state() == run.run.duplicates.to_state()
     assert back.cut is not None
     assert not back.was_reset
 
 
 def test_from_the_store_where_the_log_is_gone(logs: Path, store: Store) -> None:
     """The same run in a new epoch: what was told in the one before can't be compared."""
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         drive(run)
         run.snapshot()
     for path in logs.iterdir():
         path.unlink()
     back = recover(config(), logs, store)
-    assert (digest(back), back.run, back.epoch) == (run.state.map.digest(), run.run, run.state.epoch + 1)
-    assert (back.state.input, back.state.record) == (run.state.input, run.state.record)
+    assert (digest(back), back.run_id, back.epoch) == (run.run.map.digest(), run.run_id, run.run.epoch + 1)
+    assert (back.run.input, back.run.record) == (run.run.input, run.run.record)
 
 
 def test_every_event_is_applied_once_whichever_files_are_left(logs: Path, store: Store) -> None:
     """Files that lie before the cut and its undecided clouds may be gone; with one more gone it can't go on."""
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         drive(run, 0, 2)
         run.rotate()
         drive(run, 2, 2)
@@ -93,7 +94,7 @@ def test_every_event_is_applied_once_whichever_files_are_left(logs: Path, store:
     files = sorted(logs.glob("*.mcap"))
     assert len(files) == 3
     files[0].unlink()
-    assert digest(recover(config(), logs, store)) == run.state.map.digest()
+    assert digest(recover(config(), logs, store)) == run.run.map.digest()
     with pytest.raises(LogError, match=r"begins at record .*no store to begin from"):
         recover(config(), logs, None)
     files[1].unlink()
@@ -103,20 +104,20 @@ def test_every_event_is_applied_once_whichever_files_are_left(logs: Path, store:
 
 def test_a_file_in_which_nothing_stands_yet_goes_on_from_the_store(logs: Path, store: Store) -> None:
     """All files before it were deleted, as `log.keep` may: it tells itself what lies before it."""
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         drive(run)
         run.rotate()
         run.snapshot()
     before, _ = sorted(logs.glob("*.mcap"))
     before.unlink()
     back = recover(config(), logs, store)
-    assert (digest(back), back.run, back.index, back.epoch) == (run.state.map.digest(), run.run, 2, 2)
-    assert (back.state.input, back.state.record) == (run.state.input, run.state.record)
+    assert (digest(back), back.run_id, back.index, back.epoch) == (run.run.map.digest(), run.run_id, 2, 2)
+    assert (back.run.input, back.run.record) == (run.run.input, run.run.record)
 
 
 @pytest.mark.parametrize("stored", [False, True])
 def test_undecided_clouds_wait_anew(logs: Path, store: Store, stored: bool) -> None:
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         drive(run)
         waiting = run.put(Kind.POINTS, cloud(3.05))
         run.put(Kind.ODOMETRY, odometry(3.0, 0.9), "other")
@@ -124,71 +125,71 @@ def test_undecided_clouds_wait_anew(logs: Path, store: Store, stored: bool) -> N
             run.snapshot()
         drive(run, 5, 0)
     back = recover(config(), logs, store if stored else None)
-    assert [number for number, _, _ in back.undecided] == [waiting]
-    with Run(logs, recovered=back) as again:
+    assert sorted(back.run.clouds) == [waiting]
+    with LoggedRun(logs, recovered=back) as again:
         again.put(Kind.ODOMETRY, odometry(3.0, 0.9))
         again.put(Kind.ODOMETRY, odometry(3.1, 0.9))
         (event,) = again.decide()
         again.checkpoint()
     assert (event.input, event.outcome, event.epoch) == (waiting, "integrated", 2)
-    assert replay([logs]).state.map.digest() == again.state.map.digest()
+    assert replay([logs]).run.map.digest() == again.run.map.digest()
 
 
 def test_a_reset_behind_the_cut(logs: Path, store: Store) -> None:
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         drive(run)
         run.snapshot()
         run.reset()
         run.scan(9.0)
     back = recover(config(), logs, store)
-    assert (digest(back), back.was_reset) == (run.state.map.digest(), True)
-    assert (back.state.epoch, back.epoch) == (2, 3)
-    with Run(logs, recovered=back, store=store) as again:
+    assert (digest(back), back.was_reset) == (run.run.map.digest(), True)
+    assert (back.run.epoch, back.epoch) == (2, 3)
+    with LoggedRun(logs, recovered=back, store=store) as again:
         again.snapshot()
-    assert digest(recover(config(), logs, store)) == run.state.map.digest()
+    assert digest(recover(config(), logs, store)) == run.run.map.digest()
 
 
 def test_what_a_kill_leaves(logs: Path, tmp_path: Path) -> None:
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         drive(run)
         left = run.killed(tmp_path / "left")
-        expected = run.state.map.digest()
+        expected = run.run.map.digest()
     assert digest(recover(config(), left, None)) == expected
-    assert replay([left]).state.map.digest() == expected
+    assert replay([left]).run.map.digest() == expected
 
 
 def test_a_log_that_lost_its_end_is_what_counts(logs: Path, store: Store, tmp_path: Path) -> None:
     """The map after a start equals the replay of the surviving log, even if the store knows more."""
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         drive(run)
         run.rotate()
-        short = run.state.map.digest()
+        short = run.run.map.digest()
         drive(run, 3)
         run.snapshot()
     sorted(logs.glob("*.mcap"))[1].unlink()
     back = recover(config(), logs, store)
     assert (digest(back), back.cut) == (short, None)
-    with Run(logs, recovered=back, store=store) as again:
+    with LoggedRun(logs, recovered=back, store=store) as again:
         drive(again, 3, 1)
         again.snapshot()
     assert replay([logs]).difference is None
-    assert digest(recover(config(), logs, store)) == again.state.map.digest()
+    assert digest(recover(config(), logs, store)) == again.run.map.digest()
 
 
 def test_a_store_of_another_state_version_is_built_anew(logs: Path, store: Store) -> None:
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         drive(run)
         run.snapshot()
     with closing(sqlite3.connect(store.path)) as db, db:
         db.execute("UPDATE cut SET value = '0' WHERE name = 'state_version'")
     back = recover(config(), logs, store)
-    assert (digest(back), back.cut) == (run.state.map.digest(), None)
+    assert (digest(back), back.cut) == (run.run.map.digest(), None)
     assert not store.exists()
     assert store.path.with_name("map.db.outdated").exists()
 
 
 def test_another_map_is_refused_with_both_values(logs: Path, store: Store) -> None:
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         drive(run, 0, 1)
         run.snapshot()
     other = config(map={"cell_size": 0.25})
@@ -198,21 +199,21 @@ def test_another_map_is_refused_with_both_values(logs: Path, store: Store) -> No
 
 
 def test_the_newest_of_two_runs(logs: Path, store: Store) -> None:
-    with Run(logs, created_ns=1) as old:
+    with LoggedRun(logs, created_ns=1) as old:
         drive(old, 0, 1)
-    with Run(logs, created_ns=2, store=store) as new:
+    with LoggedRun(logs, created_ns=2, store=store) as new:
         drive(new, 0, 2)
         new.snapshot()
-    assert recover(config(), logs, None).run == new.run
-    assert recover(config(), logs, store).run == new.run
-    with Run(logs, created_ns=3) as newest:
+    assert recover(config(), logs, None).run_id == new.run_id
+    assert recover(config(), logs, store).run_id == new.run_id
+    with LoggedRun(logs, created_ns=3) as newest:
         drive(newest, 0, 1)
-    with pytest.raises(StoreError, match=newest.run[:8]):
+    with pytest.raises(StoreError, match=newest.run_id[:8]):
         recover(config(), logs, store)
 
 
 def test_a_log_that_was_tampered_with_is_not_followed(logs: Path) -> None:
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         event = run.scan(0.0)
         run.log_event(event)
     with pytest.raises(RunError, match=f"input {event.input}"):
@@ -220,12 +221,12 @@ def test_a_log_that_was_tampered_with_is_not_followed(logs: Path) -> None:
 
 
 def test_a_configuration_of_another_version(logs: Path) -> None:
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         drive(run, 0, 1)
     assert read_back(logs)
     values = json.loads(json.dumps(metadata().configuration))
     values["map"]["gravity"] = 9.81
-    from roughmap_service.engine.recovery import check_identity
+    from roughmap_service.engine.newest_run import check_identity
 
     with pytest.raises(IdentityError, match="another version"):
         check_identity(config(), values, logs)

@@ -15,7 +15,7 @@ from service_tools import (
     SECOND,
     T0,
     WAIT_S,
-    Run,
+    LoggedRun,
     cloud,
     config,
 )
@@ -32,7 +32,7 @@ def logs(tmp_path: Path) -> Path:
 
 def test_a_whole_log_is_equal(logs: Path, tmp_path: Path) -> None:
     run = three_files(logs)
-    digest = run.state.map.digest()
+    digest = run.run.map.digest()
     equal = f"equal: 8 checkpoints, sequence 6, digest {digest}"
     assert replay(logs)[:2] == (0, equal)
     files = sorted(logs.glob("*.mcap"))
@@ -46,15 +46,15 @@ def test_a_whole_log_is_equal(logs: Path, tmp_path: Path) -> None:
 
 
 def test_resets_and_restarts_with_other_settings_are_equal(logs: Path) -> None:
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         drive(run)
         run.reset()
         drive(run, 4)
     for sigma in (0.02, 0.03):
         other = config(sensors={"lidar": {"range_sigma": sigma}})
-        with Run(logs, other, recovered=recover(other, logs, None)) as run:
+        with LoggedRun(logs, other, recovered=recover(other, logs, None)) as run:
             drive(run, round(sigma * 1000))
-    assert replay(logs)[:2] == (0, f"equal: 12 checkpoints, sequence 13, digest {run.state.map.digest()}")
+    assert replay(logs)[:2] == (0, f"equal: 12 checkpoints, sequence 13, digest {run.run.map.digest()}")
 
 
 def fewer(data: bytes) -> bytes:
@@ -100,7 +100,7 @@ CHANGES: dict[str, tuple[str, int, Callable[[bytes], bytes | None], str]] = {
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_log_that_was_touched_differs(name: str, logs: Path) -> None:
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         drive(run)
     (file,) = logs.glob("*.mcap")
     rewrite(file)
@@ -121,13 +121,13 @@ def test_a_file_that_begins_with_another_map_differs(logs: Path) -> None:
 
 
 def test_nothing_is_written_after_a_difference(logs: Path, tmp_path: Path) -> None:
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         drive(run)
     (file,) = logs.glob("*.mcap")
     rewrite(file, nth("/points", 1, lambda _: cloud(1.05, points=MOVED)))
     code, last, told = replay(logs, "-o", tmp_path / "map.db", "--log-out", tmp_path / "new")
     assert (code, last.split(":")[0]) == (1, "differs at sequence 2 (checkpoint)")
-    assert "nothing else was done" in told
+    assert "the other options were not carried out" in told
     assert not (tmp_path / "map.db").exists()
     assert not (tmp_path / "new").exists()
 
@@ -136,10 +136,10 @@ def test_what_is_no_whole_run_is_refused(logs: Path, tmp_path: Path) -> None:
     three_files(logs)
     files = sorted(logs.glob("*.mcap"))
     refused(replay(files[0], files[2]), "gap: file 1 of run")
-    refused(replay(files[1], files[2]), "(sequence 2), not where the run does")
+    refused(replay(files[1], files[2]), "(sequence 2), not at the beginning of the run")
     shutil.copy(files[1], tmp_path / "copy.mcap")
     refused(replay(logs, tmp_path / "copy.mcap"), "are both file 1 of run")
-    with Run(tmp_path / "other") as other:
+    with LoggedRun(tmp_path / "other") as other:
         drive(other, 0, 1)
     refused(replay(logs, tmp_path / "other"), "logs of 2 runs")
     (tmp_path / "empty").mkdir()
@@ -148,7 +148,7 @@ def test_what_is_no_whole_run_is_refused(logs: Path, tmp_path: Path) -> None:
 
 
 def test_a_file_that_lost_its_end_in_the_middle_is_a_gap(logs: Path) -> None:
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         drive(run, 0, 1)
         assert run.writer.wait_synced(WAIT_S)
         whole = run.writer.size
@@ -163,21 +163,21 @@ def test_a_file_that_lost_its_end_in_the_middle_is_a_gap(logs: Path) -> None:
 
 
 def test_a_store_that_holds_the_whole_log_leaves_nothing_to_compare(logs: Path, tmp_path: Path) -> None:
-    with Run(logs, store=Store(tmp_path / "map.db")) as run:
+    with LoggedRun(logs, store=Store(tmp_path / "map.db")) as run:
         drive(run)
         run.snapshot()
-    told = f"{tmp_path / 'map.db'} holds all of this log already (sequence 3): nothing is left to compare"
+    told = f"{tmp_path / 'map.db'} already contains all of this log (sequence 3), so there is nothing to compare"
     refused(replay("--from", tmp_path / "map.db", logs), told)
 
 
 def test_a_log_without_a_checkpoint_proves_nothing(logs: Path) -> None:
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         run.scan(0.0)
     refused(replay(logs), "no checkpoint")
 
 
 def test_an_event_of_an_unknown_kind_stops_the_reader(logs: Path) -> None:
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         drive(run)
     (file,) = logs.glob("*.mcap")
     rewrite(file, nth("/events", 2, lambda _: b'{"kind": "forget", "epoch": 1, "sequence": 2}'))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from replay_tools import drive, refused, replay
-from service_tools import Run, cloud, config, events_of, inputs_of, odometry, read_back, starts_of
+from service_tools import LoggedRun, cloud, config, events_of, inputs_of, odometry, read_back, starts_of
 
 from roughmap import RoughMap
 from roughmap_schemas.kinds import Kind
@@ -24,7 +24,7 @@ def logs(tmp_path: Path) -> Path:
 def test_from_a_store(logs: Path, tmp_path: Path) -> None:
     """From the cut on, with a cloud that waited then: what lies before it isn't needed, and isn't done twice."""
     store = Store(tmp_path / "map.db")
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         drive(run, 0, 2)
         run.rotate()
         drive(run, 2, 1)
@@ -36,47 +36,47 @@ def test_from_a_store(logs: Path, tmp_path: Path) -> None:
         run.rotate()
         drive(run, 5, 1)
     files = sorted(logs.glob("*.mcap"))
-    equal = f"equal: 2 checkpoints, sequence 5, digest {run.state.map.digest()}"
+    equal = f"equal: 2 checkpoints, sequence 5, digest {run.run.map.digest()}"
     assert replay(logs, "--from", store.path)[:2] == (0, equal)
     assert replay(*files[1:], "--from", store.path)[:2] == (0, equal)
     refused(replay(files[2], "--from", store.path), "gap: ")
     refused(replay(logs, "--from", store.path, "--log-out", tmp_path / "new"), "--log-out needs the whole run")
     refused(replay(logs, "--from", store.path, "--what-if", "map.cell_size=0.2"), "--what-if needs the whole run")
-    with Run(tmp_path / "other") as other:
+    with LoggedRun(tmp_path / "other") as other:
         drive(other, 0, 1)
-    refused(replay(tmp_path / "other", "--from", store.path), "is of run")
+    refused(replay(tmp_path / "other", "--from", store.path), "belongs to run")
 
 
 def test_a_store_that_is_not_in_the_log_gives_another_map(logs: Path, tmp_path: Path) -> None:
     """What lies before the cut is taken on trust; a store of another map shows at the next digest."""
     store = Store(tmp_path / "map.db")
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         drive(run, 0, 2)
-        cut_of_the_first_two = run.state.map.digest()
+        cut_of_the_first_two = run.run.map.digest()
         run.rotate()
         run.snapshot()
         drive(run, 2, 1)
-    with Run(tmp_path / "else") as other:
+    with LoggedRun(tmp_path / "else") as other:
         drive(other, 0, 1)
         other.scan(9.0, 3.0)
     cut = store.read_cut()
     assert cut is not None
-    assert other.state.map.digest() != cut_of_the_first_two
-    with other.state.map.freeze() as frozen:
+    assert other.run.map.digest() != cut_of_the_first_two
+    with other.run.map.freeze() as frozen:
         store.write(cut, frozen, None)
     code, last, _ = replay(logs, "--from", store.path)
     assert (code, last.split(":")[0]) == (1, "differs at sequence 2"), "where the first file behind the cut begins"
 
 
 def test_a_replays_own_log_is_equal_and_keeps_each_files_settings(logs: Path, tmp_path: Path) -> None:
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         drive(run)
         run.rotate()
         drive(run, 3)
         run.reset()
         drive(run, 6, 1)
     other = config(sensors={"lidar": {"range_sigma": 0.05}}, log={"compression": "zstd"})
-    with Run(logs, other, recovered=recover(other, logs, None)) as run:
+    with LoggedRun(logs, other, recovered=recover(other, logs, None)) as run:
         drive(run, 10)
     new = tmp_path / "new"
     first = replay(logs, "--log-out", new)
@@ -87,19 +87,19 @@ def test_a_replays_own_log_is_equal_and_keeps_each_files_settings(logs: Path, tm
     assert inputs_of(new_items) == inputs_of(old_items), "numbers, places, bytes and times"
     starts = starts_of(new_items)
     assert [start.config for start in starts] == [start.config for start in starts_of(old_items)]
-    assert len({start.metadata.run for start in starts} | {run.run}) == 2, "it is a run of its own"
+    assert len({start.metadata.run for start in starts} | {run.run_id}) == 2, "it is a run of its own"
     assert replay(new, "--log-out", tmp_path / "again")[:2] == first[:2]
 
 
 def test_a_log_goes_to_an_empty_folder_only_and_that_is_seen_first(logs: Path, tmp_path: Path) -> None:
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         drive(run)
     outcome = replay(logs, "--log-out", tmp_path)
     refused(outcome, "is not empty")
     assert "replay:" not in outcome[2], "nothing was replayed before"
     (tmp_path / "map.db").touch()
     outcome = replay(logs, "-o", tmp_path / "map.db")
-    refused(outcome, "is there already")
+    refused(outcome, "exists; name another file")
     assert "replay:" not in outcome[2]
     (tmp_path / "new").mkdir()
     assert replay(logs, "--log-out", tmp_path / "new")[0] == 0
@@ -110,9 +110,9 @@ def test_what_if(logs: Path, tmp_path: Path) -> None:
     noisy = {"lidar": {"range_sigma": 0.05}}
     for directory, cell_size in ((logs, 0.1), (tmp_path / "coarse", 0.2)):
         first, second = config(map={"cell_size": cell_size}), config(map={"cell_size": cell_size}, sensors=noisy)
-        with Run(directory, first) as run:
+        with LoggedRun(directory, first) as run:
             drive(run)
-        with Run(directory, second, recovered=recover(second, directory, None)) as run:
+        with LoggedRun(directory, second, recovered=recover(second, directory, None)) as run:
             drive(run, 5)
     store, new = tmp_path / "map.db", tmp_path / "new"
     code, told, _ = replay(logs, "--what-if", "map.cell_size=0.2", "--json", "-o", store, "--log-out", new)
@@ -124,14 +124,14 @@ def test_what_if(logs: Path, tmp_path: Path) -> None:
     assert cut is not None
     rough_map = RoughMap(cell_size=0.2)
     Store(store).load_into(rough_map, cut)
-    assert rough_map.digest() == run.state.map.digest()
+    assert rough_map.digest() == run.run.map.digest()
     assert cut.configuration["map"]["cell_size"] == 0.2
     code, last, _ = replay(new)
-    assert (code, last.rpartition(" ")[2]) == (0, run.state.map.digest())
+    assert (code, last.rpartition(" ")[2]) == (0, run.run.map.digest())
 
 
 def test_what_if_there_had_been_room_for_more_tiles(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with Run(logs, config(map={"max_tiles": 2})) as run:
+    with LoggedRun(logs, config(map={"max_tiles": 2})) as run:
         assert [run.scan(float(t), 10.0 * t).outcome for t in range(3)] == ["integrated", *["too_many_tiles"] * 2]
         run.checkpoint()
     assert replay(logs)[0] == 0
@@ -139,13 +139,13 @@ def test_what_if_there_had_been_room_for_more_tiles(logs: Path, capsys: pytest.C
     assert command(["replay", str(logs), "--what-if", "map.max_tiles=9"]) == 0
     assert "confidence_factor" in capsys.readouterr().out, "no name is cut where no terminal's width wants it"
     state = what_if([logs], lambda _: config(map={"max_tiles": 9}))
-    assert state.map.tile_count > run.state.map.tile_count
+    assert state.map.tile_count > run.run.map.tile_count
     assert state.map.sequence == 3
 
 
 @pytest.mark.parametrize("change", ["map.cell_sizes=1", "map.cell_size=-1", "map.cell_size.x=1", "nothing.there=1"])
 def test_what_if_of_no_setting_is_seen_first(change: str, logs: Path) -> None:
-    with Run(logs) as run:
+    with LoggedRun(logs) as run:
         drive(run)
     outcome = replay(logs, "--what-if", change)
     refused(outcome, "--what-if ")
@@ -155,7 +155,7 @@ def test_what_if_of_no_setting_is_seen_first(change: str, logs: Path) -> None:
 def test_a_store_that_the_logs_dont_go_on_from(logs: Path, tmp_path: Path) -> None:
     """A cloud that waited at the cut lies in a file that is not there; or the store's map is another map."""
     store = Store(tmp_path / "map.db")
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         run.put(Kind.POINTS, cloud(0.05))
         run.rotate()
         run.snapshot()
@@ -170,7 +170,7 @@ def test_a_store_that_the_logs_dont_go_on_from(logs: Path, tmp_path: Path) -> No
     assert cut is not None
     with RoughMap() as empty, empty.freeze() as frozen:
         store.write(with_values(cut, configuration_digest="0" * 32), frozen, None)
-    refused(replay(logs, "--from", store.path), "maps of other settings")
+    refused(replay(logs, "--from", store.path), "different settings in [map]")
     refused(replay(logs, "--from", logs.parent / "empty.db"), "empty.db")
     (logs.parent / "text.db").write_text("no SQLite file" * 100)
     refused(replay(logs, "--from", logs.parent / "text.db"), "text.db")

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from net import WAIT_S, open_pair, wait_for
-from service_tools import Run, cloud, config, events_of, read_back
+from service_tools import LoggedRun, cloud, config, events_of, read_back
 
 from roughmap import RoughMap
 from roughmap_client import QueryRefused
@@ -20,10 +20,10 @@ from roughmap_service.engine.recovery import recover
 from roughmap_service.engine.sequencer import Intervals, NotFollowed, Sequencer
 from roughmap_service.host.counters import Counters
 from roughmap_service.host.ending import ShuttingDown
-from roughmap_service.inputs.queue import Intake
-from roughmap_service.inputs.receipts import Replies
+from roughmap_service.inputs.queue import InputQueue
+from roughmap_service.inputs.receipts import ReceiptSender
 from roughmap_service.inputs.subscriptions import ZenohInputs
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.spill import Spill
 
 
@@ -53,19 +53,18 @@ class Service:
     def __init__(self, directory: Path, stack: ExitStack) -> None:
         self.disk = Disk()
         server, self.client = stack.enter_context(open_pair())
-        self.run = stack.enter_context(Run(directory, open_file=self.disk.open))
+        self.run = stack.enter_context(LoggedRun(directory, open_file=self.disk.open))
         self.run.scan(0.0)
-        counters, intake = Counters(), Intake(1 << 20, Counters())
+        counters, intake = Counters(), InputQueue(1 << 20, Counters())
         spill = stack.enter_context(Spill(directory / "tiles.spill", 1 << 30))
         self.sequencer = Sequencer(
-            self.run.state, self.run.view, self.run.writer, intake, counters, Memory(1 << 40, spill),
-            self.run.duplicates, self.run.keys, Intervals(3600.0, 3600.0), publish_event=lambda _: None,
+            self.run.live, intake, self.run.writer, MemoryLimit(1 << 40, spill), Intervals(3600.0, 3600.0),
             take_snapshot=lambda: None, before_reset=lambda _: None,
         )  # fmt: skip
-        replies = stack.enter_context(Replies())
+        replies = stack.enter_context(ReceiptSender())
         stack.enter_context(ZenohInputs(server, self.run.keys, intake, replies, 1 << 20, counters))
         stack.callback(lambda: self.sequencer.stop(WAIT_S))
-        self.sequencer.start([])
+        self.sequencer.start()
         self.sequencer.call(lambda: None, WAIT_S)  # it begins with a checkpoint
         assert self.run.writer.wait_synced(WAIT_S)
         known = threading.Event()
@@ -85,7 +84,7 @@ def test_a_reset_that_meets_a_full_disk_holds_up_no_refusal_and_comes_when_there
     with ExitStack() as stack:
         service = Service(tmp_path, stack)
         sequencer, done = service.sequencer, list[tuple[int, int]]()
-        before = (service.run.state.map.sequence, service.run.state.epoch)
+        before = (service.run.run.map.sequence, service.run.run.epoch)
         service.disk.full = True
         asking = threading.Thread(target=sequencer.call, args=(lambda: done.append(sequencer.reset()), WAIT_S))
         asking.start()
@@ -96,14 +95,14 @@ def test_a_reset_that_meets_a_full_disk_holds_up_no_refusal_and_comes_when_there
         with pytest.raises(QueryRefused, match="No space left"):
             service.ingest(1.0)
         assert sequencer.turned > turned, "nobody takes it for stalled"
-        with pytest.raises(MessageFault, match=r"log_unavailable.*may still be done"):
+        with pytest.raises(MessageFault, match=r"log_unavailable.*may still be carried out"):
             sequencer.call(lambda: done.append((0, 0)), 0.01)
-        assert (service.run.state.map.sequence, service.run.state.epoch, done) == (*before, [])
+        assert (service.run.run.map.sequence, service.run.run.epoch, done) == (*before, [])
         service.disk.full = False
         asking.join(WAIT_S)
         sequencer.call(lambda: None, WAIT_S)  # what was asked before this one is done
         assert done == [(before[0] + 1, before[1] + 1), (0, 0)]
-        assert service.run.state.map.digest() == RoughMap().digest()
+        assert service.run.run.map.digest() == RoughMap().digest()
         assert not service.ingest(1.0).duplicate
     events = events_of(read_back(tmp_path))
     kinds = [event.kind for event in events]
@@ -116,19 +115,19 @@ def test_a_logged_reset_that_can_not_be_done_ends_the_sequencer_and_the_next_sta
 ) -> None:
     with ExitStack() as stack:
         service = Service(tmp_path, stack)
-        before = service.run.state.map.sequence
+        before = service.run.run.map.sequence
 
         def no_memory(_map: RoughMap) -> None:
             raise MemoryError
 
         monkeypatch.setattr(service.sequencer, "_before_reset", no_memory)
-        with pytest.raises(ShuttingDown, match=r"MemoryError.*the next start does it"):
+        with pytest.raises(ShuttingDown, match=r"MemoryError.*the next start carries it out"):
             service.sequencer.call(service.sequencer.reset, WAIT_S)
         assert service.sequencer.stop(WAIT_S)
         assert isinstance(service.sequencer.failure, NotFollowed)
     assert isinstance(events_of(read_back(tmp_path))[-1], ResetEvent), "nothing is logged behind it"
     back = recover(config(), tmp_path, None)
-    assert (back.state.map.sequence, back.state.map.digest()) == (before + 1, RoughMap().digest())
+    assert (back.run.map.sequence, back.run.map.digest()) == (before + 1, RoughMap().digest())
 
 
 def test_a_reset_that_is_not_on_the_disk_at_the_end_is_not_told_as_done(tmp_path: Path) -> None:
@@ -148,5 +147,5 @@ def test_a_reset_that_is_not_on_the_disk_at_the_end_is_not_told_as_done(tmp_path
         wait_for(service.disk.failed, "the disk to refuse the reset")
         assert sequencer.stop(WAIT_S)
         asking.join(WAIT_S)
-        assert told == ["the service ends; the next start does the reset if the log still gets it to the disk"]
+        assert told == ["the service ends; the next start carries the reset out if it reached the disk"]
         service.disk.full = False

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from net import WAIT_S, Gathered, wait_for
-from service_tools import T0, Run, cloud, config
+from service_tools import T0, LoggedRun, cloud, config
 from spill_tools import leave
 
 from roughmap.tiles.slots import SLOT_BYTES
@@ -24,13 +24,14 @@ from roughmap_service.answers.map_reader import MapReader
 from roughmap_service.answers.reset_history import ResetHistory
 from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.answers.tiles import TileQueries
+from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.recovery import recover
 from roughmap_service.engine.sequencer import Intervals, Sequencer
 from roughmap_service.host.counters import Counters
-from roughmap_service.inputs.queue import InputMessage, Intake
+from roughmap_service.inputs.queue import InputMessage, InputQueue
 from roughmap_service.offline.replay import replay
 from roughmap_service.store.map_db import Store
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.spill import Spill
 from roughmap_service.watch.status import RunProgress, Status
 
@@ -76,25 +77,25 @@ def points_in(*tiles: int, t: float = 1.0) -> bytes:
 class Service:
     """The sequencer of a run, and readers of its map."""
 
-    def __init__(self, disk: Disk, run: Run, spill: Spill, stack: ExitStack) -> None:
-        self.disk, self.run, self.map = disk, run, run.state.map
+    def __init__(self, disk: Disk, run: LoggedRun, spill: Spill, stack: ExitStack) -> None:
+        self.disk, self.run, self.map = disk, run, run.run.map
         self.decided: Gathered[IntegrationEvent] = Gathered()
         self.digests = {x: d.tobytes().hex() for x, d in zip(*self.map.tile_digests()[::2], strict=True)}
-        self._intake, counters = Intake(1 << 20, Counters()), Counters()
-        served = ServedMap("site", run.run, "0" * 32, "0" * 32, "map")
+        self._intake, counters = InputQueue(1 << 20, Counters()), Counters()
+        served = ServedMap("site", run.run_id, "0" * 32, "0" * 32, "map")
         self._queries = TileQueries(MapReader(run.view, run.keys, run.config, served, ResetHistory(1000)))
         self.status = Status(run.view, counters, run.config, served, "1", RunProgress)
         self._taken = 0
-        self._memory = Memory(1 << 20, spill, measure=lambda: self._taken)
+        self._memory = MemoryLimit(1 << 20, spill, measure=lambda: self._taken)
+        live = LiveRun(run.run, run.view, run.writer, run.recorder, counters, self._memory, self._hear)
         self._sequencer = Sequencer(
-            run.state, run.view, run.writer, self._intake, counters, self._memory, run.duplicates, run.keys,
-            Intervals(3600.0, 3600.0), publish_event=self._hear, take_snapshot=lambda: None,
+            live, self._intake, run.writer, self._memory, Intervals(3600.0, 3600.0), take_snapshot=lambda: None,
             before_reset=lambda _: None,
         )  # fmt: skip
         self._pool = stack.enter_context(ThreadPoolExecutor(4))
         stack.callback(lambda: self._sequencer.stop(WAIT_S))
         stack.callback(disk.go.set)  # whatever fails, nobody is left standing there
-        self._sequencer.start([])
+        self._sequencer.start()
 
     def _hear(self, event: bytes) -> None:
         decoded = decode_event(event)
@@ -105,7 +106,7 @@ class Service:
         self._intake.put(InputMessage(Kind.POINTS, "rover", payload, T0, time.monotonic()))
 
     def leave(self) -> None:
-        """Memory is short until all tiles have left that can."""
+        """MemoryLimit is short until all tiles have left that can."""
 
         def relieve() -> None:
             self._taken = 1 << 40
@@ -136,7 +137,7 @@ def serving(where: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
     """With all tiles but the near one in the spill file or in the store. The run's replay must come out equal."""
     store = Store(folder / "map.db")
     if where == "store":
-        with Run(folder / "log", store=store) as before:
+        with LoggedRun(folder / "log", store=store) as before:
             before.put(Kind.POINTS, points_in(FAR, FARTHER, FARTHEST))
             before.decide()
             before.checkpoint()
@@ -144,17 +145,17 @@ def serving(where: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
     disk = Disk(monkeypatch)
     with ExitStack() as stack:
         spill = stack.enter_context(Spill(folder / "tiles.spill", 100 * SLOT_BYTES))
-        recovered = recover(config(), folder / "log", store, memory=Memory(1 << 40, spill))
-        run = stack.enter_context(Run(folder / "log", recovered=recovered, store=store, spill=spill))
+        recovered = recover(config(), folder / "log", store, memory=MemoryLimit(1 << 40, spill))
+        run = stack.enter_context(LoggedRun(folder / "log", recovered=recovered, store=store, spill=spill))
         if where == "spill":
             run.put(Kind.POINTS, points_in(FAR, FARTHER, FARTHEST))
             run.decide()
         run.put(Kind.POINTS, points_in(NEAR))
         run.decide()
-        leave(run.state.map)
-        assert (run.state.map.resident_tiles, spill.used) == (1, 3)
+        leave(run.run.map)
+        assert (run.run.map.resident_tiles, spill.used) == (1, 3)
         yield Service(disk, run, spill, stack)
-    assert replay([folder / "log"]).state.map.digest() == run.state.map.digest()
+    assert replay([folder / "log"]).run.map.digest() == run.run.map.digest()
 
 
 @pytest.fixture(params=["spill", "store"])

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import zstandard
-from service_tools import WAIT_S, Run, cloud, config
+from service_tools import WAIT_S, LoggedRun, cloud, config
 
 from roughmap import RoughMap
 from roughmap_schemas.kinds import Kind
@@ -16,7 +16,6 @@ from roughmap_service.engine.recovery import recover
 from roughmap_service.run.poses import PoseBuffer
 from roughmap_service.store import snapshots
 from roughmap_service.store.map_db import Store
-from roughmap_service.store.snapshots import cut_of
 
 
 def no_memory(*_: Any, **__: Any) -> Any:
@@ -45,29 +44,29 @@ def test_no_snapshot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, owner: type, name: str, fault: Callable[..., Any], told: str
 ) -> None:
     store = Store(tmp_path / "map.db")
-    with Run(tmp_path / "log", store=store) as run:
+    with LoggedRun(tmp_path / "log", store=store) as run:
         run.put(Kind.POINTS, cloud(1.0, frame="map", points=[[1.0, 1.0, 0.0]]))
         run.decide()
         run.checkpoint()
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, fault)
-            thread = run.snapshots.offer(lambda: cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
+            thread = run.snapshots.offer(run.cut)
             if thread is not None:
                 thread.join(WAIT_S)
         assert told in run.snapshots.error
         assert str(store.path) in run.snapshots.error
         assert not run.snapshots.ok
-        assert not run.state.map._table.pool.pins.any()
+        assert not run.run.map._table.pool.pins.any()
         run.snapshot()
         assert run.snapshots.ok
-        assert recover(run.config, tmp_path / "log", store).state.map.digest() == run.state.map.digest()
+        assert recover(run.config, tmp_path / "log", store).run.map.digest() == run.run.map.digest()
 
 
 def test_a_snapshot_that_fails_lets_no_file_of_the_log_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The store is still the one before it, and may need them."""
     store = Store(tmp_path / "map.db")
     bounded = config(log={"keep": 1}, store={"path": str(store.path)})
-    with Run(tmp_path / "log", bounded, store=store) as run:
+    with LoggedRun(tmp_path / "log", bounded, store=store) as run:
         for t in range(2):
             run.scan(float(t))
             run.rotate()
@@ -75,7 +74,7 @@ def test_a_snapshot_that_fails_lets_no_file_of_the_log_go(tmp_path: Path, monkey
         files = {path.name for path in (tmp_path / "log").glob("*.mcap")}
         with monkeypatch.context() as patch:
             patch.setattr(Store, "write", no_memory)
-            thread = run.snapshots.offer(lambda: cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
+            thread = run.snapshots.offer(run.cut)
             assert thread is not None
             thread.join(WAIT_S)
         assert {path.name for path in (tmp_path / "log").glob("*.mcap")} == files
@@ -88,10 +87,10 @@ def test_what_the_store_does_not_take_is_told_once_and_so_is_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    with Run(tmp_path / "log", store=Store(tmp_path / "folder" / "map.db")) as run:
+    with LoggedRun(tmp_path / "log", store=Store(tmp_path / "folder" / "map.db")) as run:
         (tmp_path / "folder").write_text("a file is in its way")
         for _ in range(3):
-            thread = run.snapshots.offer(lambda: cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
+            thread = run.snapshots.offer(run.cut)
             assert thread is not None
             thread.join(WAIT_S)
             assert not run.snapshots.ok
@@ -114,10 +113,10 @@ def test_a_store_that_hangs_is_one_that_takes_nothing(tmp_path: Path, monkeypatc
     monkeypatch.setattr(snapshots, "HANG_SECONDS", 0.0)
     monkeypatch.setattr(Store, "write", stuck)
     store = Store(tmp_path / "map.db")
-    with Run(tmp_path / "log", store=store) as run:
+    with LoggedRun(tmp_path / "log", store=store) as run:
         run.snapshots.look()
         assert run.snapshots.ok, "nothing is being stored"
-        thread = run.snapshots.offer(lambda: cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
+        thread = run.snapshots.offer(run.cut)
         assert thread is not None
         assert asked.wait(WAIT_S)
         assert run.snapshots.ok, "nobody looked"

@@ -174,7 +174,7 @@ def test_tiles_come_back_before_anybody_has_to_wait(spill: Spill, monkeypatch: p
         true(place, records)
 
     monkeypatch.setattr(spill, "read", read)
-    prepared = m.prepare(ground(3), S, 10**9, hold=lambda: lock)
+    prepared = m.prepare_points(ground(3), S, 10**9, reader_lock=lambda: lock)
     assert len(back) == m.resident_tiles - 1 > 20
     assert (m.digest(), m.sequence) == (plain.digest(), plain.sequence)
     with lock:
@@ -187,7 +187,7 @@ def test_tiles_come_back_before_anybody_has_to_wait(spill: Spill, monkeypatch: p
 def test_what_was_prepared_is_not_done_when_its_tiles_have_left(spill: Spill) -> None:
     m = filled(spill)
     m.add(FAR, S, 10**9)
-    prepared = m.prepare(ground(3), S, 10**9)
+    prepared = m.prepare_points(ground(3), S, 10**9)
     assert leave(m)
     was = tiles_of(m)
     with pytest.raises(ValueError, match="in memory"):

@@ -16,7 +16,7 @@ from roughmap.tiles.digest import map_digest
 from roughmap.tiles.slots import SLOT_BYTES
 from roughmap_service.run.view import View
 from roughmap_service.store.map_db import Cut, Store
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.spill import Spill
 
 SCANS = 150
@@ -57,7 +57,7 @@ class Moments:
         self.looked = threading.Semaphore(0)
 
 
-def write(view: View, memory: Memory, moments: Moments) -> None:
+def write(view: View, memory: MemoryLimit, moments: Moments) -> None:
     """Scans, now and then a reset; what can leave leaves in between. It waits for readers now and then."""
     for seed in range(SCANS):
         memory.relieve(view.reading)
@@ -66,7 +66,7 @@ def write(view: View, memory: Memory, moments: Moments) -> None:
                 rough_map.reset()
                 view.epoch += 1
                 moments.true[view.epoch, rough_map.sequence] = rough_map.digest()
-        prepared = view.map.prepare(ground(seed), np.eye(3) * 0.02**2, seed * 10**9, hold=view.reading)
+        prepared = view.map.prepare_points(ground(seed), np.eye(3) * 0.02**2, seed * 10**9, reader_lock=view.reading)
         with view.change() as rough_map:
             rough_map.integrate(prepared)
             moments.true[view.epoch, rough_map.sequence] = rough_map.digest()
@@ -123,7 +123,7 @@ def test_readers_and_snapshots_see_whole_moments_while_tiles_come_and_go(
 
         monkeypatch.setattr(spill, "read", watched(spill.read))
         monkeypatch.setattr(spill, "write", watched(spill.write))
-        memory = Memory(RESIDENT * SLOT_BYTES, spill, measure=lambda: view.map.resident_tiles * SLOT_BYTES)
+        memory = MemoryLimit(RESIDENT * SLOT_BYTES, spill, measure=lambda: view.map.resident_tiles * SLOT_BYTES)
         with view.change():
             rough_map.add(ground(999), np.eye(3) * 0.02**2, 0)
         moments.true[1, 1] = rough_map.digest()

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from service_tools import WAIT_S, Run, cloud, config
+from service_tools import WAIT_S, LoggedRun, cloud, config
 from spill_tools import leave
 
 from roughmap import CELL_DTYPE, RoughMap
@@ -20,8 +20,7 @@ from roughmap_schemas.kinds import Kind
 from roughmap_service.engine.recovery import Recovered, recover
 from roughmap_service.offline.replay import replay
 from roughmap_service.store.map_db import Store, StoreError
-from roughmap_service.store.memory_limit import Memory
-from roughmap_service.store.snapshots import cut_of
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.spill import Spill
 from roughmap_service.store.stored_tiles import StoredTiles, set_index
 
@@ -49,12 +48,12 @@ class Lazy:
 
     def __init__(self, logs: Path, store: Store, stack: ExitStack) -> None:
         self.spill = stack.enter_context(Spill(logs / "tiles.spill", 1000 * SLOT_BYTES))
-        self.memory = Memory(1 << 40, self.spill)
+        self.memory = MemoryLimit(1 << 40, self.spill)
         self.recovered: Recovered = recover(config(), logs, store, memory=self.memory)
-        self.map = self.recovered.state.map
+        self.map = self.recovered.run.map
 
 
-def scan(run: Run, seed: int, reach: float = 22.0, number: int = 400) -> IntegrationEvent:
+def scan(run: LoggedRun, seed: int, reach: float = 22.0, number: int = 400) -> IntegrationEvent:
     """A cloud in the map's frame, over up to 8 x 8 tiles."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(-reach, reach, (2, number))
@@ -63,9 +62,9 @@ def scan(run: Run, seed: int, reach: float = 22.0, number: int = 400) -> Integra
     return run.decide()[-1]
 
 
-def begun(logs: Path, store: Store) -> Run:
+def begun(logs: Path, store: Store) -> LoggedRun:
     """A run of three clouds, stored."""
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         for seed in range(3):
             scan(run, seed)
         run.checkpoint()
@@ -90,7 +89,7 @@ def test_a_lazy_start_is_the_start_that_reads_all(logs: Path, store: Store, spil
     eager = recover(config(), logs, store)
     lazy = Lazy(logs, store, spills)
     assert lazy.map.resident_tiles == 0
-    assert seen(lazy.map) == seen(eager.state.map)
+    assert seen(lazy.map) == seen(eager.run.map)
     assert lazy.map.resident_tiles == 0, "reading brings nothing into memory"
     assert lazy.recovered.cut == eager.cut
 
@@ -113,37 +112,37 @@ def test_the_run_goes_on_from_stored_and_spilled_tiles(logs: Path, store: Store,
     """Snapshots hold them as they are; the next start, which reads all, and a replay have the same map."""
     begun(logs, store)
     lazy = Lazy(logs, store, spills)
-    with Run(logs, recovered=lazy.recovered, store=store, spill=lazy.spill) as run:
+    with LoggedRun(logs, recovered=lazy.recovered, store=store, spill=lazy.spill) as run:
         for seed in range(3, 8):
             scan(run, seed, 4.0 * (8 - seed))
-            leave(run.state.map)
+            leave(run.run.map)
             run.checkpoint()
             if seed % 2:
                 run.snapshot()
         run.snapshot()
-        assert run.state.map.resident_tiles < run.state.map.tile_count
-        after = seen(run.state.map)
+        assert run.run.map.resident_tiles < run.run.map.tile_count
+        after = seen(run.run.map)
     cut = store.read_cut()
     assert cut is not None
     assert cut.sequence == after[0]
     again = recover(config(), logs, store)
-    assert again.state.map.digest() == replay([logs]).state.map.digest() == after[4]
+    assert again.run.map.digest() == replay([logs]).run.map.digest() == after[4]
 
 
 def test_a_reset_lets_stored_and_spilled_tiles_go(logs: Path, store: Store, spills: ExitStack) -> None:
     begun(logs, store)
     lazy = Lazy(logs, store, spills)
-    with Run(logs, recovered=lazy.recovered, store=store, spill=lazy.spill) as run:
+    with LoggedRun(logs, recovered=lazy.recovered, store=store, spill=lazy.spill) as run:
         scan(run, 3, 12.0)
         scan(run, 4, 1.0)
-        assert leave(run.state.map)
+        assert leave(run.run.map)
         run.reset()
         assert lazy.spill.used == 0
         scan(run, 5, 3.0)
         run.checkpoint()
         run.snapshot()
     back = recover(config(), logs, store)
-    assert back.state.map.digest() == run.state.map.digest() == replay([logs]).state.map.digest()
+    assert back.run.map.digest() == run.run.map.digest() == replay([logs]).run.map.digest()
 
 
 @pytest.mark.parametrize("patient", [True, False])
@@ -152,17 +151,17 @@ def test_a_snapshot_overwrites_nothing_that_is_still_read(
 ) -> None:
     """A reading from before a change has its tiles in the store: the next snapshot waits for it, or is left out."""
     begun(logs, store)
-    was = recover(config(), logs, store).state.map
+    was = recover(config(), logs, store).run.map
     lazy = Lazy(logs, store, spills)
-    with Run(logs, recovered=lazy.recovered, store=store, spill=lazy.spill) as run:
-        held = run.state.map.freeze()
+    with LoggedRun(logs, recovered=lazy.recovered, store=store, spill=lazy.spill) as run:
+        held = run.run.map.freeze()
         scan(run, 3)
         run.checkpoint()
         if not patient:
             assert run.writer.wait_synced(WAIT_S)
             monkeypatch.setattr("roughmap_service.store.snapshots.SYNC_SECONDS", 0.0)
             monkeypatch.setattr(run.writer, "wait_synced", lambda _: True)
-        thread = run.snapshots.offer(lambda: cut_of(run.run, run.config, run.state, run.inbox, run.duplicates))
+        thread = run.snapshots.offer(run.cut)
         assert thread is not None
         if not patient:
             thread.join(WAIT_S)
@@ -178,7 +177,7 @@ def test_a_snapshot_overwrites_nothing_that_is_still_read(
             assert not run.snapshots.error
         else:
             run.snapshot()
-    assert recover(config(), logs, store).state.map.digest() == run.state.map.digest()
+    assert recover(config(), logs, store).run.map.digest() == run.run.map.digest()
 
 
 def test_a_tile_that_was_damaged_is_found_when_it_is_needed(logs: Path, store: Store, spills: ExitStack) -> None:
@@ -209,7 +208,7 @@ def test_an_index_that_can_be_none(logs: Path, store: Store, spills: ExitStack, 
     with closing(sqlite3.connect(store.path)) as db, db:
         db.execute(f"UPDATE tiles SET {change}")
     lazy = Lazy(logs, store, spills)
-    assert lazy.map.digest() == run.state.map.digest()
+    assert lazy.map.digest() == run.run.map.digest()
     assert lazy.spill.used == 0
     assert store.path.with_name("map.db.damaged").exists()
 
@@ -217,7 +216,7 @@ def test_an_index_that_can_be_none(logs: Path, store: Store, spills: ExitStack, 
 def test_where_the_log_ends_before_the_store_nothing_of_the_store_is_kept(
     logs: Path, store: Store, spills: ExitStack, tmp_path: Path
 ) -> None:
-    with Run(logs, store=store) as run:
+    with LoggedRun(logs, store=store) as run:
         scan(run, 0)
         run.checkpoint()
         left = run.killed(tmp_path / "left")
@@ -225,7 +224,7 @@ def test_where_the_log_ends_before_the_store_nothing_of_the_store_is_kept(
         run.checkpoint()
         run.snapshot()
     lazy = Lazy(left, store, spills)
-    assert lazy.map.digest() == replay([left]).state.map.digest() != run.state.map.digest()
+    assert lazy.map.digest() == replay([left]).run.map.digest() != run.run.map.digest()
     assert lazy.map.resident_tiles == lazy.map.tile_count
     assert lazy.spill.used == 0
 
@@ -260,7 +259,7 @@ def test_a_snapshot_that_closes_locks_no_reader_out(logs: Path, store: Store, sp
     """SQLite writes its log back, with all readers locked out, when the last connection closes."""
     begun(logs, store)
     lazy = Lazy(logs, store, spills)
-    with Run(logs, recovered=lazy.recovered, store=store, spill=lazy.spill) as run:
+    with LoggedRun(logs, recovered=lazy.recovered, store=store, spill=lazy.spill) as run:
         run.put(Kind.POINTS, cloud(3.0, 500.0, frame="map"))  # no stored tile is read for it
         run.decide()
         run.snapshot()

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from roughmap.integration import blocks, fused, integrate
+from roughmap.integration import blocks, phases, tile_update
 from roughmap.points import place
 from roughmap.tiles import changes, index, slots
 from roughmap_schemas import Config, decode_cloud, encode_cloud
 from roughmap_service.engine import warmup
 from roughmap_service.engine.warmup import UNTURNED, warm_up
-from roughmap_service.run.apply import prepare
+from roughmap_service.run.placing import place_cloud
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.settings import Settings, new_map
 
-MODULES = (blocks, fused, integrate, place, changes, index, slots)
+MODULES = (blocks, phases, place, tile_update, changes, index, slots)
 
 
 def compiled() -> dict[str, int]:
@@ -52,7 +52,7 @@ def test_no_cloud_finds_a_kernel_uncompiled(model: str) -> None:
             cloud = decode_cloud(payload, max_message=1 << 20, max_points=1 << 20)
             layouts.add((dtype, cloud.points.flags.aligned, cloud.points.flags.c_contiguous))
             with rough_map.freeze():
-                rough_map.integrate(prepare(rough_map, "", cloud, line, settings))
+                rough_map.integrate(place_cloud(rough_map, "", cloud, line, settings))
     assert {aligned for _, aligned, _ in layouts} == {True, False}, "both kinds came by"
     assert {packed for _, _, packed in layouts} == {True, False}, "and with other fields between"
     assert compiled() == before
@@ -64,5 +64,5 @@ def test_a_start_that_takes_long_says_why(caplog: pytest.LogCaptureFixture, monk
     monkeypatch.setattr(warmup, "note", lambda *args: (logging.getLogger().warning("%s: %s", *args[2:]), told.set()))
     monkeypatch.setattr(warmup, "_run", lambda _config, _stop: told.wait(30))
     warm_up(Config(), threading.Event())
-    assert caplog.messages == ["compiling: kernels are compiled, once: this takes a minute or more"]
+    assert caplog.messages == ["compiling: compiling kernels, once; this takes a minute or more"]
     assert not [thread for thread in threading.enumerate() if isinstance(thread, threading.Timer) and thread.is_alive()]

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap_schemas.encodings import json_encoding
 from roughmap_schemas.faults import QueryFault
 from roughmap_schemas.messages import CellAnswer, CellEntry, CellState, model_bytes
@@ -77,7 +77,7 @@ def _read(reader: MapReader, asked: CellsQuery, cells: Cells) -> Iterator[Answer
     yield Answer(state.sequence, [Reply(reader.keys.cells, model_bytes(answer), ENCODING)])
 
 
-def _state(frozen: Frozen, x: int, y: int, row: int, column: int) -> CellState | None:
+def _state(frozen: FrozenMap, x: int, y: int, row: int, column: int) -> CellState | None:
     """Return a cell's record; None if no point ever hit it."""
     record = frozen.records(x, y)[row, column]
     if record["count"] == 0:

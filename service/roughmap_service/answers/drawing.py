@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap.cell import TILE_CELLS
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap_schemas.grid import Compression, encode_grid
 from roughmap_schemas.messages import TileInfo
 from roughmap_service.answers.drawn_tile import DrawnTile, drawn_tile
@@ -40,7 +40,7 @@ class NotDrawnYet(Exception):
 class TileList:
     """The tiles of one level without their cells: (T, 2) x and y, (T,) their sequences.
 
-    It has the attributes of `Frozen` that name a state; a tile of it can be answered from the cache only.
+    It has the attributes of `FrozenMap` that name a state; a tile of it can be answered from the cache only.
     """
 
     level: int
@@ -58,7 +58,12 @@ class Drawing:
     """
 
     def __init__(
-        self, frozen: Frozen | TileList, epoch: int, form: TileForm, served: ServedMap, cache: TileCache | None = None
+        self,
+        frozen: FrozenMap | TileList,
+        epoch: int,
+        form: TileForm,
+        served: ServedMap,
+        cache: TileCache | None = None,
     ) -> None:
         self.frozen = frozen
         self.epoch = epoch

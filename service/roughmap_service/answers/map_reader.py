@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap.reading.region import MAX_CELLS
 from roughmap.tiles.index import TileBox
 from roughmap_schemas.config import Config
@@ -23,7 +23,7 @@ from roughmap_service.run.view import View
 LevelBox = tuple[int, TileBox | None]
 """A level and a box of its tiles; None: all tiles."""
 
-Level = TypeVar("Level", Frozen, TileList)
+Level = TypeVar("Level", FrozenMap, TileList)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class MapReader:
             compression=asked.compression,
         )
 
-    def drawing(self, tiles: Frozen | TileList, epoch: int, form: TileForm) -> Drawing:
+    def drawing(self, tiles: FrozenMap | TileList, epoch: int, form: TileForm) -> Drawing:
         """Return a drawing that shares this reader's cache."""
         return Drawing(tiles, epoch, form, self.served, self._cache)
 
@@ -88,9 +88,9 @@ class MapReader:
             yield Answer(state.sequence, draw(state))
 
     @contextmanager
-    def frozen(self, boxes: Sequence[LevelBox]) -> Iterator[MapState[Frozen]]:
+    def frozen(self, boxes: Sequence[LevelBox]) -> Iterator[MapState[FrozenMap]]:
         """Freeze all boxes in one state of the map, which may change meanwhile."""
-        held: list[Frozen] = []
+        held: list[FrozenMap] = []
         try:
             with self.view.reading() as rough_map:
                 held.extend(rough_map.freeze(level, box) for level, box in boxes)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import zenoh
 
 from roughmap.arrays import I4
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap.tiles.index import TileBox
 from roughmap_schemas.config import Config
 from roughmap_schemas.encodings import GRID
@@ -181,7 +181,7 @@ class Updates:
         with ExitStack() as held:
             with self._view.reading() as rough_map:
 
-                def hold(box: TileBox) -> Frozen:
+                def hold(box: TileBox) -> FrozenMap:
                     frozen = rough_map.freeze(level, box)
                     held.callback(self._view.let_go, frozen)
                     return frozen

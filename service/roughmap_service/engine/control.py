@@ -7,33 +7,35 @@ from roughmap_schemas import QueryCode, QueryFault
 from roughmap_service.engine.sequencer import Sequencer
 from roughmap_service.store.snapshots import Snapshots
 
+TIMEOUT_SECONDS = 30.0
+"""How long an operator's request may take: writing millions of tiles takes seconds, a disk that hangs does not end."""
+
 
 class Control:
-    """What an operator may ask for."""
+    """Carries out operators' requests; each waits at most `TIMEOUT_SECONDS`."""
 
-    def __init__(self, sequencer: Sequencer, snapshots: Snapshots, cut: Callable[[], None], timeout: float) -> None:
+    def __init__(self, sequencer: Sequencer, snapshots: Snapshots, cut: Callable[[], None]) -> None:
         self._sequencer = sequencer
         self._snapshots = snapshots
         self._cut = cut
-        self._timeout = timeout
 
     def snapshot(self) -> tuple[int, int]:
-        """Store the map as it is now; (sequence, epoch) of what is stored."""
+        """Store the map as it is now; returns the (sequence, epoch) that is stored."""
         if not self._snapshots.enabled:
             raise QueryFault(QueryCode.BAD_KEY, "this service has no store (store.path)")
-        wanted = self._sequencer.state.map.sequence
-        until = time.monotonic() + self._timeout
+        wanted = self._sequencer.live.run.map.sequence
+        until = time.monotonic() + TIMEOUT_SECONDS
         while self._snapshots.sequence < wanted and time.monotonic() < until:
-            self._sequencer.call(self._cut, self._timeout)
-            self._snapshots.close(self._timeout)
+            self._sequencer.call(self._cut, TIMEOUT_SECONDS)
+            self._snapshots.wait(TIMEOUT_SECONDS)
             if self._snapshots.error:
                 break
         if self._snapshots.sequence < wanted:
             raise QueryFault(QueryCode.INTERNAL, f"no snapshot: {self._snapshots.error or 'it took too long'}")
-        return self._snapshots.sequence, self._sequencer.view.epoch
+        return self._snapshots.sequence, self._sequencer.live.view.epoch
 
     def reset(self) -> tuple[int, int]:
-        """Empty the map; the (sequence, epoch) that begin with it."""
+        """Empty the map; returns the (sequence, epoch) that begin with it."""
         done: list[tuple[int, int]] = []
-        self._sequencer.call(lambda: done.append(self._sequencer.reset()), self._timeout)
+        self._sequencer.call(lambda: done.append(self._sequencer.reset()), TIMEOUT_SECONDS)
         return done[0]

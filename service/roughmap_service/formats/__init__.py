@@ -1,1 +1,1 @@
-"""A file a format, in and out: point clouds, recorded scans, pictures."""
+"""File formats, one module each: recorded clouds in (`clouds.read_cloud`), pictures out."""

@@ -35,7 +35,7 @@ def open_lock(path: Path) -> IO[bytes]:
     return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600), "ab")
 
 
-def made_anew(path: Path) -> IO[bytes]:
+def create_new(path: Path) -> IO[bytes]:
     """Make a file in place of one that a kill may have left; never what a link leads to."""
     path.unlink(missing_ok=True)
     return path.open("xb")

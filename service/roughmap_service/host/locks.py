@@ -7,11 +7,14 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.host.disk import make_directory, open_lock
 
 
-class LockError(Exception):
+class LockError(ReportedError):
     """Log or store can't be this service's; one line that names the place and the mend."""
+
+    exit_code = 2
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import threading
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.sections import HttpConfig
 from roughmap_service.host.exposure import is_loopback
 from roughmap_service.http.token import HttpError, token_of
@@ -21,7 +22,7 @@ CLOSE_SECONDS = 1.5
 """Longest wait at shutdown: for running requests, and until uvicorn notices."""
 
 
-class PortTaken(Exception):
+class PortTaken(ReportedError):
     """The address can't be listened on now; a later start may find it free. The message is one line with the remedy."""
 
 

@@ -2,11 +2,14 @@
 
 from pathlib import Path
 
+from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.sections import HttpConfig
 
 
-class HttpError(Exception):
+class HttpError(ReportedError):
     """The pages can't be served as configured. The message is one line and names what to change."""
+
+    exit_code = 2
 
 
 def token_of(http: HttpConfig) -> bytes | None:

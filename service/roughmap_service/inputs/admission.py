@@ -1,31 +1,50 @@
-"""What a message must be to be taken up: whole, from a known robot and sensor, and with room to wait."""
+"""What a message must be to be logged: whole, from a known robot and sensor, and with room to wait."""
 
+import logging
 from collections.abc import Collection
 
 from roughmap_schemas import Cloud, MessageFault, Refusal
+from roughmap_service.host.counters import OTHERS, Counters
+from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.queue import InputMessage
-from roughmap_service.run.fold import Content, decode
+from roughmap_service.run.decoding import Content, decode
 from roughmap_service.run.inbox import Inbox
 from roughmap_service.run.settings import Settings
 
+logger = logging.getLogger(__name__)
+
+MAX_SHOWN = 500
+"""Characters of a log line about a message: its content comes from outside."""
+
 
 def admit(message: InputMessage, settings: Settings, known: Collection[str], inbox: Inbox) -> Content:
-    """Decode, and hold against the configuration what the bytes alone don't tell; ``known`` are the robots heard so
-    far. Raises ``MessageFault``."""
+    """Decode a message and check it against the configuration; ``known`` are the robots heard so far.
+
+    Raises MessageFault if it must not be logged.
+    """
     robots = settings.config.input.robots
     if robots and message.robot not in robots:
-        raise MessageFault(Refusal.UNKNOWN_ROBOT, f"robot {message.robot!r} is not among input.robots")
+        raise MessageFault(Refusal.UNKNOWN_ROBOT, f"robot {message.robot!r} is not in input.robots")
     if not robots and message.robot not in known and len(known) >= (most := settings.max_robots):
         raise MessageFault(
-            Refusal.UNKNOWN_ROBOT, f"{most} robots are known (input.max_robots); name yours in input.robots"
+            Refusal.UNKNOWN_ROBOT, f"{most} robots are known already (input.max_robots); name yours in input.robots"
         )
     try:
         content = decode(message.kind, message.payload, settings)
     except MemoryError:
-        raise MessageFault(Refusal.BUSY, "there is no memory to decode the message; try again") from None
+        raise MessageFault(Refusal.BUSY, "not enough memory to decode the message; try again") from None
     if isinstance(content, Cloud):
         _check_cloud(message, content, settings, inbox)
     return content
+
+
+def refuse(counters: Counters, robot: str, fault: MessageFault) -> None:
+    """Count a message that is not logged, and log a line about it: a few a minute for each robot and reason."""
+    shown = counters.refuse(fault.code, robot)
+    if fault.code != Refusal.LOG_UNAVAILABLE:  # the log writer has a line of its own for that
+        source = "" if robot == OTHERS else f"robot {robot}: "
+        text = f"{source}message refused, {fault.code}: {fault.message}"[:MAX_SHOWN]
+        note(logger, logging.WARNING, "refused", text, robot=shown, reason=str(fault.code))
 
 
 def _check_cloud(message: InputMessage, cloud: Cloud, settings: Settings, inbox: Inbox) -> None:
@@ -36,4 +55,4 @@ def _check_cloud(message: InputMessage, cloud: Cloud, settings: Settings, inbox:
             f"frame {cloud.frame_id!r} is neither the map's ({settings.frame_id!r}) nor a configured sensor ({where})",
         )
     if message.reply is not None and not inbox.has_room(cloud.held_bytes):
-        raise MessageFault(Refusal.BUSY, "clouds wait for their poses up to input.queue_limit; try again")
+        raise MessageFault(Refusal.BUSY, "clouds that wait for poses fill input.queue_limit; try again")

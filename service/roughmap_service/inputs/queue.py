@@ -1,6 +1,5 @@
-"""From Zenoh's threads to the sequencer: what is let in, and what is dropped when too much comes."""
+"""The input queue, from Zenoh's threads to the sequencer: bounded, and fair between robots."""
 
-import logging
 import threading
 import time
 from collections import deque
@@ -14,15 +13,27 @@ from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.receipts import IngestReply
 from roughmap_service.run.duplicates import Duplicates, Identity
 
-log = logging.getLogger(__name__)
-
 LEAST_COST = 256
-"""Bytes that a queued cloud counts for at least: an empty one costs memory too."""
+"""Bytes that a queued cloud counts for at least: an empty cloud costs memory too."""
+
+MAX_POSES = 10_000
+"""Queued odometry and transform messages: several seconds of a fleet's, and a few MB."""
+
+TURN_MESSAGES = 512
+"""Messages that the sequencer takes at a time. If more are queued, each robot gets an equal share: a flood from one
+holds up the others for no longer than these messages take, a tenth of a second."""
+
+
+MAX_QUEUED_POSES = 10_000
+"""Poses and transforms of all robots that may be queued: seconds of them, in a few MB."""
 
 
 @dataclass(slots=True)
 class InputMessage:
-    """An input that passed the checks on its key, encoding and size, not yet decoded."""
+    """A message that passed the checks on its key, encoding and size; not yet decoded.
+
+    ``received_ns`` is wall time, ``arrival`` monotonic s. ``reply`` is set if the message was ingested.
+    """
 
     kind: Kind
     robot: str
@@ -31,25 +42,20 @@ class InputMessage:
     arrival: float
     reply: IngestReply | None = None
     identity: Identity = field(init=False)
-    """What tells it from others. Made by Zenoh's thread, which has the bytes at hand: the sequencer would wait for them
-    as long as for a seventh of the cloud's integration."""
+    """Robot, kind and hash of the bytes. Computed here, in Zenoh's thread, which has the bytes in its cache; in the
+    sequencer it would take a seventh of the cloud's integration."""
 
     def __post_init__(self) -> None:
         self.identity = Duplicates.identity(self.robot, self.kind, self.payload)
 
 
 Command = Callable[[], None]
-"""Something that is to be done between two inputs, in the sequencer's thread."""
-
-
-TURN_MESSAGES = 512
-"""So many messages are taken at a time, of each robot as many as of the others, if more are there: what one floods with
-holds up nobody else for longer than these take, a tenth of a second."""
+"""Something to be done between two messages, in the sequencer's thread."""
 
 
 @dataclass
 class _Held:
-    """What one robot has queued, by number; bytes of its clouds; numbers of its published clouds and of its poses."""
+    """One robot's queued messages by number, bytes of its clouds, numbers of its published clouds and of its poses."""
 
     items: dict[int, InputMessage] = field(default_factory=dict)
     size: int = 0
@@ -57,7 +63,7 @@ class _Held:
     poses: deque[int] = field(default_factory=deque)
 
     def take(self, most: int) -> list[tuple[int, InputMessage]]:
-        """The first ``most``, taken out."""
+        """Remove and return the first ``most``."""
         taken = list(islice(self.items.items(), most))
         for number, message in taken:
             del self.items[number]
@@ -70,17 +76,16 @@ class _Held:
 
 
 @dataclass
-class Intake:
-    """A bounded queue, so that whoever floods it drops what is its own.
+class InputQueue:
+    """A bounded queue in which a robot that floods it loses its own messages.
 
-    When clouds fill it, the oldest published one of the robot that holds most is dropped, and an ingested one is
-    answered ``busy`` instead; when poses and transforms do, the newest of the robot that holds most of these. No pose
-    is ever dropped for a cloud's sake.
+    Past ``limit`` bytes of clouds the oldest published cloud of the robot with most bytes is dropped; an ingested one
+    is refused as ``busy`` instead. Past `MAX_POSES` poses and transforms the newest of the robot with most of them is
+    dropped. No pose is ever dropped for a cloud.
     """
 
     limit: int
     counters: Counters
-    pose_limit: int = 10_000
     _commands: deque[Command] = field(default_factory=deque)
     _robots: dict[str, _Held] = field(default_factory=dict)
     _number: int = 0
@@ -89,7 +94,7 @@ class Intake:
 
     @property
     def held(self) -> int:
-        """Bytes of the clouds that are queued."""
+        """Bytes of the queued clouds."""
         with self._wake:
             return self._size()
 
@@ -105,14 +110,16 @@ class Intake:
                 refused.reply.refuse(MessageFault(code, "the service is ending" if self.closed else "try again"))
 
     def command(self, command: Command) -> None:
-        """Queue something to be done in the sequencer's thread."""
+        """Queue something for the sequencer's thread to do."""
         with self._wake:
             self._commands.append(command)
             self._wake.notify()
 
     def take(self, timeout: float) -> tuple[list[InputMessage], list[Command], float]:
-        """What is queued, at most `TURN_MESSAGES`, after waiting at most ``timeout`` s for something; and the monotonic
-        time up to which all that arrived has been taken."""
+        """Take at most `TURN_MESSAGES` messages and all commands, after waiting at most ``timeout`` s for any.
+
+        Also returns the monotonic time before which all messages that arrived have been taken.
+        """
         with self._wake:
             self._wake.wait_for(lambda: self._robots or self._commands or self.closed, timeout)
             commands = list(self._commands)
@@ -126,18 +133,18 @@ class Intake:
             return [message for _, message in taken], commands, min(left, default=time.monotonic())
 
     def close(self) -> None:
-        """Let nothing more in; what is queued can still be taken."""
+        """Refuse further messages; queued ones can still be taken."""
         with self._wake:
             self.closed = True
             self._wake.notify()
 
     def _admit(self, message: InputMessage) -> list[InputMessage]:
-        """Take the message in; returns those that had to go."""
+        """Queue the message; returns the ones that are dropped or refused for it."""
         if self.closed:
             return [message]
         if message.kind is not Kind.POINTS:
             self._queue(message).poses.append(self._number)
-            if sum(len(held.poses) for held in self._robots.values()) <= self.pose_limit:
+            if sum(len(held.poses) for held in self._robots.values()) <= MAX_POSES:
                 return []
             held = max(self._robots.values(), key=lambda held: len(held.poses))
             return [held.items.pop(held.poses.pop())]
@@ -163,7 +170,7 @@ class Intake:
         return held
 
     def _drop_of_the_largest(self) -> InputMessage | None:
-        """The oldest published cloud of the robot that holds most, taken out; None where all are ingested ones."""
+        """Remove the oldest published cloud of the robot with most bytes; None if all clouds are ingested ones."""
         held = max((held for held in self._robots.values() if held.clouds), key=lambda held: held.size, default=None)
         if held is None:
             return None

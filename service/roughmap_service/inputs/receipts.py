@@ -1,4 +1,4 @@
-"""Answers to ingest requests, sent from a thread that may be held up; and the memory for duplicates."""
+"""Answers to ingest requests, sent from a thread of their own."""
 
 import contextlib
 import logging
@@ -12,25 +12,25 @@ import zenoh
 from roughmap_schemas import Fault, QueryError, Receipt, model_bytes
 from roughmap_schemas.encodings import json_encoding
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 RECEIPT = json_encoding("Receipt")
 QUERY_ERROR = json_encoding("QueryError")
 
 MAX_REPLIES = 10_000
-"""Answers on their way out. A client that hears nothing sends again, so one dropped at this limit does no harm."""
+"""Answers that wait to be sent. Past it answers are dropped: a client that gets none sends its message again."""
 
 
-class Replies:
-    """Sends answers from its own thread: a client that stops reading holds a reply for 5 s; the log must not wait."""
+class ReceiptSender:
+    """Sends answers from its own thread: a client that stops reading blocks a reply for 5 s; the log must not wait."""
 
     def __init__(self) -> None:
         self._queue: queue.Queue[tuple[zenoh.Query, bytes, bool] | None] = queue.Queue(MAX_REPLIES)
-        self._thread = threading.Thread(target=self._run, name="replies", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="receipts", daemon=True)
         self._thread.start()
 
     def send(self, query: zenoh.Query, payload: bytes, *, is_error: bool) -> None:
-        """Queue an answer; never blocks."""
+        """Queue an answer without blocking."""
         try:
             self._queue.put_nowait((query, payload, is_error))
         except queue.Full:
@@ -45,7 +45,7 @@ class Replies:
         self.close()
 
     def close(self, timeout: float = 6.0) -> None:
-        """Send what is queued, for at most ``timeout`` s."""
+        """Send queued answers for at most ``timeout`` s."""
         with contextlib.suppress(queue.Full):
             self._queue.put(None, timeout=timeout)
         self._thread.join(timeout)
@@ -59,23 +59,23 @@ class Replies:
                 else:
                     query.reply(query.key_expr, payload, encoding=RECEIPT)
             except zenoh.ZError as error:
-                log.debug("a receipt could not be sent: %s", error)
+                logger.debug("could not send a receipt: %s", error)
             finally:
                 query.drop()
 
 
 class IngestReply:
-    """The answer that one ingest request waits for."""
+    """The answer to one ingest request."""
 
-    def __init__(self, query: zenoh.Query, replies: Replies) -> None:
+    def __init__(self, query: zenoh.Query, sender: ReceiptSender) -> None:
         self._query = query
-        self._replies = replies
+        self._sender = sender
 
     def receipt(self, receipt: Receipt) -> None:
-        """The log holds the message, on the disk."""
-        self._replies.send(self._query, model_bytes(receipt), is_error=False)
+        """Confirm that the message is in the log on the disk."""
+        self._sender.send(self._query, model_bytes(receipt), is_error=False)
 
     def refuse(self, fault: Fault) -> None:
-        """The message was not logged."""
+        """Say why the message was not logged."""
         error = QueryError(code=fault.code, message=fault.message)
-        self._replies.send(self._query, model_bytes(error), is_error=True)
+        self._sender.send(self._query, model_bytes(error), is_error=True)

@@ -1,4 +1,4 @@
-"""The Zenoh session of the service: opened from the configuration, and where it can be reached."""
+"""The service's Zenoh session: opened from the configuration, limited, and claimed for one map."""
 
 import json
 import logging
@@ -8,31 +8,31 @@ from urllib.parse import quote
 
 import zenoh
 
-from roughmap_client.access import add_access, endpoints_of, read_zenoh_file, setting, told
+from roughmap_client.access import add_access, endpoints_of, read_zenoh_file, setting, zenoh_message
 from roughmap_schemas import ConfigFault, Keys
 from roughmap_schemas.config import without_secrets
 from roughmap_schemas.config_load import LoadedConfig
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.host.exposure import exposures, weaknesses
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 ADMIN_SECONDS = 5.0
-"""How long the session's own admin space may take to answer: it is asked in this process."""
-
+"""How long the session's own admin space, in this process, may take to answer."""
 
 LEAST_BOUND = 4 << 20
-"""Bytes that a message may always have: a question may come with 1 MiB of places."""
+"""Message size in bytes that is always allowed: a query for cells may carry 1 MiB of places."""
 
 
-class TransportError(Exception):
-    """The session can't be opened; one line that names what to change."""
+class TransportError(ReportedError):
+    """The session can't be opened; the text names what to change."""
 
 
 def zenoh_config(loaded: LoadedConfig) -> zenoh.Config:
-    """The session's configuration: a zenoh file, if one is named, under the settings that were given.
+    """The session's configuration: given settings over the zenoh file, if there is one.
 
-    A setting given nowhere leaves the file's value alone. The admin space is on, read only: only there does a session
-    tell the port that it got for 0. ConfigFault for a file that can't be used.
+    A setting that is not given leaves the file's value alone. The admin space is on, read only, because only there can
+    a session learn which port it got for port 0. ConfigFault if the file can't be used.
     """
     settings = loaded.config.zenoh
     config = read_zenoh_file(settings.config_file) if settings.config_file else zenoh.Config()
@@ -43,7 +43,7 @@ def zenoh_config(loaded: LoadedConfig) -> zenoh.Config:
         ("scouting", "scouting/multicast/enabled", settings.scouting),
         ("shared_memory", "transport/shared_memory/enabled", settings.shared_memory),
     ]
-    if settings.mode == "peer":  # a router needs gossip to know which peers don't reach each other
+    if settings.mode == "peer":  # a router uses gossip to find peers that can't reach each other
         entries.append(("scouting", "scouting/gossip/enabled", settings.scouting))
     for name, path, value in entries:
         if not settings.config_file or loaded.given(f"zenoh.{name}"):
@@ -55,14 +55,17 @@ def zenoh_config(loaded: LoadedConfig) -> zenoh.Config:
 
 
 def bound_messages(config: zenoh.Config, largest: int) -> None:
-    """Have Zenoh drop messages of more than twice ``largest`` bytes: it puts each together in memory, up to 1 GiB by
-    itself, before anybody here can refuse it. Up to that they are refused by name, and counted."""
+    """Let Zenoh drop messages of more than twice ``largest`` bytes.
+
+    Zenoh assembles each message in memory, up to 1 GiB by default, before the service can refuse it. Smaller ones reach
+    the service, which refuses and counts them by reason.
+    """
     path = "transport/link/rx/max_message_size"
     config.insert_json5(path, str(min(setting(config, path), max(2 * largest, LEAST_BOUND))))
 
 
 def check_exposure(config: zenoh.Config, loaded: LoadedConfig, *, insecure: bool) -> None:
-    """Raise ConfigFault for a session that whoever is on the network can join; ``insecure`` only has it warned of."""
+    """Raise ConfigFault for a session that anyone on the network can join; with ``insecure`` only warn."""
     found = exposures(config)
     if found and not insecure:
         path, _, text = found[0].partition(":")
@@ -73,23 +76,23 @@ def check_exposure(config: zenoh.Config, loaded: LoadedConfig, *, insecure: bool
             "false, or allow it by --insecure"
         )
     for text in (*found, *weaknesses(config)):
-        log.warning("insecure: %s", text)
+        logger.warning("insecure: %s", text)
 
 
 def open_session(config: zenoh.Config) -> zenoh.Session:
-    """Open the session; TransportError where a port is taken or a setting is wrong."""
+    """Open the session; TransportError if a port is taken or a setting is wrong."""
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        text = told(error, config)
+        text = zenoh_message(error, config)
         if text.startswith("Unable to connect"):
-            mend = "is the router up there, and does it trust the certificate, or know user and password?"
+            remedy = "is the router running, and does it accept the certificate or the user and password?"
         else:
-            mend = "is the port in use? Set zenoh.listen to another one"
+            remedy = "is the port in use? Set zenoh.listen to another"
         where = ", ".join(
             without_secrets(one) for which in ("listen", "connect") for one in endpoints_of(config, which)
         )
-        raise TransportError(f"zenoh can't be opened on {where or 'no endpoint'} ({text}); {mend}") from None
+        raise TransportError(f"can't open zenoh on {where or 'no endpoint'} ({text}); {remedy}") from None
 
 
 def endpoints(session: zenoh.Session) -> list[str]:
@@ -106,9 +109,9 @@ def claim(
 ) -> tuple[zenoh.LivelinessToken, list[str]]:
     """Declare this instance's token, then wait until no other instance of the map has one.
 
-    Returns the token, and the others still there after ``seconds`` or at ``stop``. Whoever looks has declared before:
-    of two that start at once not both can see nobody. That not both give way either, the one whose name is behind
-    another's withdraws its token until that one is gone.
+    Returns the token, and the others that are still there after ``seconds`` or at ``stop``. Each instance declares
+    before it looks, so of two that start at once at least one sees the other. So that not both give way, the one whose
+    name sorts later withdraws its token until the other is gone.
     """
     own, until = keys.alive(instance), time.monotonic() + seconds
     token = session.liveliness().declare_token(own)
@@ -123,15 +126,16 @@ def claim(
         if not others or left <= 0 or stop.is_set():
             return token, others
         if not warned:
-            log.warning(
-                "this map seems to be served already: %s; waiting at most %g s for it to go (a killed service is seen "
-                "until its lease ends; service.alive_wait); if it still runs, stop it, or set another map.name here",
+            logger.warning(
+                "this map seems to be served already, by %s; waiting up to %g s (service.alive_wait) for it to end: "
+                "the token of a killed service lives until its lease ends; if that service still runs, stop it or "
+                "set another map.name here",
                 ", ".join(others), seconds,
             )  # fmt: skip
             warned = True
         if others[0] < own:
             token.undeclare()
-        # Their tokens end by themselves: the lease of a dead instance, or the shutdown of a living one.
+        # Tokens of others end with the lease of a dead instance or the shutdown of a running one.
         stop.wait(min(0.2, left))
         if others[0] < own:
             token = session.liveliness().declare_token(own)

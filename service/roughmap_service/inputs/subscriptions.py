@@ -1,4 +1,4 @@
-"""The subscribers and queryables through which messages of robots come in."""
+"""Subscribers and ingest queryables: messages come in from Zenoh."""
 
 import logging
 import time
@@ -12,50 +12,43 @@ from roughmap_schemas import Keys, MessageFault, Refusal, check_encoding, encodi
 from roughmap_schemas.kinds import Kind
 from roughmap_service.host.counters import OTHERS, Counters
 from roughmap_service.host.log_lines import note
-from roughmap_service.inputs.queue import InputMessage, Intake
-from roughmap_service.inputs.receipts import IngestReply, Replies
+from roughmap_service.inputs.admission import refuse
+from roughmap_service.inputs.queue import InputMessage, InputQueue
+from roughmap_service.inputs.receipts import IngestReply, ReceiptSender
 
-log = logging.getLogger(__name__)
-
+logger = logging.getLogger(__name__)
 
 MAX_NUMBERED = 10_000
-"""Streams (a robot's messages of a kind) whose gaps are counted."""
-
-
-MAX_TOLD = 500
-"""Characters of a log line about a message: what it holds comes from outside."""
+"""Streams (one robot's messages of one kind) whose gaps are counted."""
 
 
 MAX_ATTACHMENT = 1 << 16
-"""Bytes with a request, which are in memory until it is answered, and count nowhere."""
+"""Bytes of an ingest request's attachment. It stays in memory until the answer, and no limit counts it."""
 
 
 MAX_GAP = 1 << 32
-"""A number that leaps further tells of no loss, but of another count."""
-
-
-def refuse(counters: Counters, robot: str, fault: MessageFault) -> None:
-    """Count a message that never reaches the log, and tell of it: a few lines a minute of each robot and reason."""
-    shown = counters.refuse(fault.code, robot)
-    if fault.code != Refusal.LOG_UNAVAILABLE:  # of which the log's own line tells
-        of = "" if robot == OTHERS else f"robot {robot}: "
-        text = f"{of}a message is refused, {fault.code}: {fault.message}"[:MAX_TOLD]
-        note(log, logging.WARNING, "refused", text, robot=shown, reason=str(fault.code))
+"""A larger step between two numbers is a new count, not a loss."""
 
 
 class ZenohInputs:
-    """Subscribers and ingest queryables of one session, a context manager that undeclares them.
+    """Subscribers and ingest queryables of one session; a context manager that undeclares them.
 
-    Callbacks run in Zenoh's own threads (``indirect=False``): they check, copy the payload once and queue it. So there
-    is one queue, ours, whose limit and drop policy are `Intake`'s; none of Zenoh's stands before it.
+    Callbacks run in Zenoh's threads (``indirect=False``): they check, copy the payload once and queue it. So no queue
+    of Zenoh's comes before the input queue, whose limit and drop policy hold.
     """
 
     def __init__(
-        self, session: zenoh.Session, keys: Keys, intake: Intake, replies: Replies, max_message: int, counters: Counters
+        self,
+        session: zenoh.Session,
+        keys: Keys,
+        queue: InputQueue,
+        receipts: ReceiptSender,
+        max_message: int,
+        counters: Counters,
     ) -> None:
         self._keys = keys
-        self._intake = intake
-        self._replies = replies
+        self._queue = queue
+        self._receipts = receipts
         self._max_message = max_message
         self._counters = counters
         self._sequences: dict[tuple[str, Kind], int] = {}
@@ -93,12 +86,12 @@ class ZenohInputs:
                 refuse(self._counters, robot, fault)
                 return
             payload = sample.payload.to_bytes()
-            self._intake.put(InputMessage(kind, robot, payload, time.time_ns(), time.monotonic()))
+            self._queue.put(InputMessage(kind, robot, payload, time.time_ns(), time.monotonic()))
 
         return handle
 
     def _answer(self, query: zenoh.Query) -> None:
-        reply, robot = IngestReply(query, self._replies), OTHERS
+        reply, robot = IngestReply(query, self._receipts), OTHERS
         try:
             name, robot = self._keys.parse_ingest(str(query.key_expr))
             kind, payload = Kind(name), query.payload
@@ -112,7 +105,7 @@ class ZenohInputs:
             refuse(self._counters, robot, fault)
             reply.refuse(fault)
             return
-        self._intake.put(InputMessage(kind, robot, payload.to_bytes(), time.time_ns(), time.monotonic(), reply))
+        self._queue.put(InputMessage(kind, robot, payload.to_bytes(), time.time_ns(), time.monotonic(), reply))
 
     def _check(self, kind: Kind, encoding: str, payload: zenoh.ZBytes) -> None:
         check_encoding(encoding, ENCODINGS[kind])
@@ -122,7 +115,7 @@ class ZenohInputs:
             )
 
     def _count_gap(self, robot: str, kind: Kind, attachment: zenoh.ZBytes | None) -> None:
-        """Publishers number their messages in an 8-byte attachment; what is missing was lost on the way."""
+        """Count messages lost on the way: publishers number theirs in an 8-byte attachment."""
         if attachment is None or len(attachment) != 8:
             return
         number = int.from_bytes(attachment.to_bytes(), "little")
@@ -130,8 +123,8 @@ class ZenohInputs:
         if last is not None and 1 < number - last <= MAX_GAP:
             missing = number - last - 1
             self._counters.gap(robot, missing)
-            text = f"robot {robot}: {missing} {kind.value} messages are missing before number {number}"
-            note(log, logging.WARNING, "gap", text, robot=robot, kind=kind.value, missing=missing)
+            text = f"robot {robot}: {missing} {kind.value} messages lost before number {number}"
+            note(logger, logging.WARNING, "gap", text, robot=robot, kind=kind.value, missing=missing)
         if last is not None or len(self._sequences) < MAX_NUMBERED:
             self._sequences[robot, kind] = number
 

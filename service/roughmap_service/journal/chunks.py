@@ -1,7 +1,6 @@
-"""What a log file's bytes may make the reader allocate: no more than the file holds, or than a chunk of ours unpacks
-to.
+"""Bounds on the memory that reading a log file takes: no more than the file holds, or than its chunks may unpack to.
 
-A damaged length, or a file made to do harm, may say anything; the library takes it at its word.
+A damaged length, or a file made to do harm, may claim any size, and the MCAP library believes it.
 """
 
 import os
@@ -16,36 +15,37 @@ from mcap.records import Chunk, McapRecord
 from mcap.stream_reader import breakup_chunk
 
 MAX_RECORDS = 200_000
-"""Records of one chunk, each of which becomes an object: ours has some thousands, those of other tools ten times as
-many."""
+"""Records of one chunk, each of which becomes an object: roughmap writes some thousands, other tools ten times that."""
 
 RECORD_HEAD = struct.Struct("<BQ")
-"""With which each record begins: its kind and how many bytes follow."""
+"""First bytes of a record: its opcode and the number of bytes that follow."""
 
 
 class BoundedFile:
-    """A file of which no more is asked for than it holds: `read` allocates what it is asked for."""
+    """A file whose `read` asks for no more than the file holds: a read allocates as much as it asks for."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self._left = os.fstat(stream.fileno()).st_size - stream.tell()
 
     def read(self, size: int) -> bytes:
-        """At most ``size`` bytes; ValueError below 0, where a file would give all that it has."""
+        """Return at most ``size`` bytes; ValueError below 0, for which a file would return everything."""
         if size < 0:
-            raise ValueError("a record shorter than what it must hold")
+            raise ValueError("a record shorter than its fixed fields")
         data = self._stream.read(min(size, self._left))
         self._left -= len(data)
         return data
 
 
 def records_in(chunk: Chunk, most: int) -> Iterator[McapRecord]:
-    """A chunk's records, its checksum verified. ValueError, or what the libraries raise, if it is damaged or unpacks to
-    more than ``most`` bytes."""
+    """Yield a chunk's records after verifying its checksum.
+
+    ValueError, or what the libraries raise, if it is damaged or unpacks to more than ``most`` bytes.
+    """
     size = chunk.uncompressed_size
     if size > most:
         raise ValueError(f"a chunk of {size} bytes (at most {most})")
-    data = _unpacked(chunk)
+    data = _unpack(chunk)
     if len(data) != size:
         raise ValueError(f"a chunk of {size} bytes has {len(data)}")
     at = number = 0
@@ -54,20 +54,20 @@ def records_in(chunk: Chunk, most: int) -> Iterator[McapRecord]:
         head = at + RECORD_HEAD.size
         at = head + RECORD_HEAD.unpack_from(data, at)[1] if head <= size else head
         if number > MAX_RECORDS or at > size:
-            raise ValueError(f"a chunk of more than {MAX_RECORDS} records, or whose last is cut off")
+            raise ValueError(f"a chunk with more than {MAX_RECORDS} records or an incomplete last one")
     yield from breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
 
 
-def _unpacked(chunk: Chunk) -> bytes:
-    """Its data; no more is unpacked than it says that it has."""
+def _unpack(chunk: Chunk) -> bytes:
+    """Return the chunk's data, never more than the size it claims."""
     size = chunk.uncompressed_size
     if chunk.compression == "zstd":
-        if zstandard.frame_content_size(chunk.data) not in (-1, size):  # -1: the frame doesn't tell
+        if zstandard.frame_content_size(chunk.data) not in (-1, size):  # -1: the frame does not say
             raise ValueError(f"a chunk of {size} bytes unpacks to another size")
         return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=size)
     if chunk.compression == "lz4":
         data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
         return data
     if chunk.compression:
-        raise ValueError(f"a chunk compressed by {chunk.compression[:20]!r}")
+        raise ValueError(f"a chunk with unknown compression {chunk.compression[:20]!r}")
     return bytes(chunk.data)

@@ -1,32 +1,24 @@
-"""One MCAP file of the log: what stands at its beginning, its channels, and how it gets to the disk."""
+"""One MCAP file of the log: its name, its beginning, its channels, and how it gets to the disk."""
 
 import contextlib
-import json
 import os
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
-from foxglove_schemas_protobuf.Grid_pb2 import Grid
-from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
-from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
-from google.protobuf.descriptor import FileDescriptor
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.writer import CompressionType, Writer
-from pydantic import TypeAdapter
 
-from roughmap_schemas import EVENT, Event, QueryRecord, RunMetadata, UpdateRecord, encode_event
-from roughmap_schemas.kinds import INPUTS, Kind
+from roughmap_schemas import RunMetadata
+from roughmap_schemas.kinds import Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
 from roughmap_service.host.disk import sync, sync_directory
-from roughmap_service.journal.channel_schema import plain_schema
+from roughmap_service.journal.channels import channel_schema
+from roughmap_service.journal.records import LogRecord
 
 CHUNK_BYTES = 64 * 1024
-"""Small chunks lose little to a kill; a scan is larger and has a chunk of its own."""
+"""Chunk size. Small chunks lose little to a kill; a scan is larger and gets a chunk of its own."""
 
 PROFILE = "roughmap"
 
@@ -34,76 +26,24 @@ COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd"
 
 OpenFile = Callable[[Path], IO[bytes]]
 
-
-PROTOBUF = {
-    Kind.POINTS: PointCloud.DESCRIPTOR,
-    Kind.ODOMETRY: Odometry.DESCRIPTOR,
-    Kind.TRANSFORM: FrameTransform.DESCRIPTOR,
-    Kind.GRIDS: Grid.DESCRIPTOR,
-}
-JSON: dict[Kind, tuple[str, TypeAdapter[Any]]] = {
-    Kind.EVENTS: ("roughmap.Event", EVENT),
-    Kind.UPDATES: ("roughmap.UpdateRecord", TypeAdapter(UpdateRecord)),
-    Kind.QUERIES: ("roughmap.QueryRecord", TypeAdapter(QueryRecord)),
-}
-
-
-@dataclass(frozen=True, slots=True)
-class LogRecord:
-    """One message on its way to the log. Times in ns; ``number`` is an input's; epoch and sequence are an event's."""
-
-    kind: Kind
-    topic: str
-    payload: bytes
-    received_ns: int
-    stamp_ns: int
-    number: int = 0
-    epoch: int = 0
-    sequence: int = 0
-
-
-def event_record(topic: str, event: Event, now_ns: int) -> LogRecord:
-    """An event on its way to the log."""
-    payload = encode_event(event)
-    return LogRecord(Kind.EVENTS, topic, payload, now_ns, now_ns, epoch=event.epoch, sequence=event.sequence)
-
-
-@dataclass(frozen=True, slots=True)
-class Mark:
-    """A place in the run: the last input and record before it, and the epoch and sequence of the last event."""
-
-    input: int
-    record: int
-    epoch: int
-    sequence: int
-
-    def after(self, record: LogRecord) -> "Mark":
-        """The place behind a record."""
-        if record.kind in INPUTS:
-            return Mark(record.number, self.record + 1, self.epoch, self.sequence)
-        if record.kind is Kind.EVENTS:
-            return Mark(self.input, self.record + 1, record.epoch, record.sequence)
-        return self
-
-
 FILE_NAME = re.compile(r"roughmap-(?P<run>[0-9a-f]{32})-\d{6,}\.mcap")
-"""Names of files that may be ours."""
+"""Names of log files."""
 
 
 def file_name(run: str, index: int) -> str:
-    """Name of a run's file; names sort as the files were written."""
+    """Return the name of a run's file. Names sort in the order of writing."""
     return f"roughmap-{run}-{index:06d}.mcap"
 
 
 def open_new(path: Path) -> IO[bytes]:
-    """Create a file that must not be there yet."""
+    """Create a file; FileExistsError if it is there already."""
     return path.open("xb")
 
 
 class LogFile:
-    """An open file. Any method may raise OSError; what was flushed before stays readable.
+    """An open log file. Any method may raise OSError; what was flushed before stays readable.
 
-    ``last_ns`` is the log time of the run's last message: times rise over the files of one writer.
+    ``last_ns`` is the log time of the run's last message before this file: log times rise over the files of a run.
     """
 
     def __init__(
@@ -136,16 +76,16 @@ class LogFile:
 
     @property
     def closed(self) -> bool:
-        """Whether its footer is on the disk."""
+        """Whether the footer is on the disk."""
         return self._closed
 
     @property
     def size(self) -> int:
-        """Bytes handed to the file so far."""
+        """Bytes written to the file so far."""
         return self._stream.tell()
 
     def write(self, record: LogRecord) -> None:
-        """Append a message. Order is file order; its log time is its receive time, made to rise."""
+        """Append a message. Its log time is its receive time, raised where needed: log times rise in file order."""
         self.last_ns = max(record.received_ns, self.last_ns + 1)
         self._writer.add_message(
             channel_id=self._channel(record.kind, record.topic),
@@ -156,19 +96,19 @@ class LogFile:
         )
 
     def flush(self) -> int:
-        """End the chunk and hand all to the operating system; returns the length reached."""
+        """End the chunk and hand everything to the operating system; return the file's length."""
         self._writer.flush()
         self._stream.flush()
         return self._stream.tell()
 
     def sync(self) -> int:
-        """The same, and on the disk."""
+        """Flush, and bring everything to the disk; return the file's length."""
         length = self.flush()
         os.fsync(self._stream.fileno())
         return length
 
     def close(self) -> None:
-        """Footer, fsync, close. The file is never appended to after this."""
+        """Write the footer, sync and close. The file is never appended to after this."""
         self._writer.finish()
         self._stream.flush()
         os.fsync(self._stream.fileno())
@@ -176,15 +116,15 @@ class LogFile:
         self._stream.close()
 
     def let_go(self) -> None:
-        """Close the stream of a file that failed: no footer, nothing more to be made of it."""
+        """Close the stream of a file that failed, without a footer."""
         with contextlib.suppress(OSError):  # closing flushes, which is what failed
             self._stream.close()
 
     def abandon(self, length: int) -> None:
-        """Cut the file to ``length``, which was synced, and leave it without a footer. OSError if even that fails.
+        """Close the file without a footer, truncated to the ``length`` that was synced.
 
-        One that has its footer on the disk stays as it is. The cut is on the disk after this: what was behind it comes
-        again in the next file.
+        The truncation is on the disk when this returns, since the next file repeats what came after ``length``. A file
+        that has its footer on the disk stays as it is.
         """
         self.let_go()
         if not self._closed:
@@ -193,33 +133,12 @@ class LogFile:
 
     def _channel(self, kind: Kind, topic: str) -> int:
         if (kind, topic) not in self._channels:
-            encoding = "protobuf" if kind in PROTOBUF else "json"
+            encoding = channel_schema(kind).message_encoding
             self._channels[kind, topic] = self._writer.register_channel(topic, encoding, self._schema(kind))
         return self._channels[kind, topic]
 
     def _schema(self, kind: Kind) -> int:
         if kind not in self._schemas:
-            if kind in PROTOBUF:
-                name, encoding = PROTOBUF[kind].full_name, "protobuf"
-                data = file_descriptor_set(PROTOBUF[kind].file)
-            else:
-                name, adapter = JSON[kind]
-                encoding, data = "jsonschema", json.dumps(plain_schema(adapter, name)).encode()
-            self._schemas[kind] = self._writer.register_schema(name, encoding, data)
+            schema = channel_schema(kind)
+            self._schemas[kind] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
         return self._schemas[kind]
-
-
-def file_descriptor_set(file: FileDescriptor) -> bytes:
-    """A protobuf file and all that it imports, imports first."""
-    files: dict[str, FileDescriptor] = {}
-
-    def add(one: FileDescriptor) -> None:
-        for needed in one.dependencies:
-            add(needed)
-        files[one.name] = one
-
-    add(file)
-    found = FileDescriptorSet()
-    for one in files.values():
-        one.CopyToProto(found.file.add())
-    return found.SerializeToString()

@@ -1,20 +1,21 @@
-"""What is queued to the log's thread, and what that holds of memory."""
+"""What can be put in the log's queue."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from roughmap_service.journal.file import LogRecord
+from roughmap_service.journal.records import LogRecord
 
 RECORD_OVERHEAD = 128
-"""Bytes that a queued record costs beside its payload."""
+"""Bytes of memory that a queued record takes beside its payload."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sync:
-    """Asks for all before it to be on the disk; then ``done`` is called from the log's thread and must not block.
+    """A request to bring everything queued before it to the disk.
 
-    Where ``failed`` is given, who asked does not wait for a log that can't be written: as soon as that is seen it is
-    called instead, once, with the cause, from any thread. What was queued before stays queued all the same.
+    The log's thread then calls ``done``, which must not block. With ``failed``, the request does not wait for a log
+    that can't be written: ``failed`` is called instead, once, with the cause, from any thread. What was queued before
+    the request stays queued in either case.
     """
 
     done: Callable[[], None]
@@ -23,7 +24,7 @@ class Sync:
 
 @dataclass(frozen=True, slots=True)
 class Rotate:
-    """Ends the file. ``digest`` is the map's at this place of the log."""
+    """A request to go on in a new file. ``digest`` is the map's digest at this place of the log."""
 
     digest: str
 
@@ -32,5 +33,5 @@ Item = LogRecord | Sync | Rotate
 
 
 def cost(item: Item) -> int:
-    """Bytes that an item counts for, queued or not yet on the disk."""
+    """Return the bytes of memory that an item takes until it is on the disk."""
     return RECORD_OVERHEAD + (len(item.payload) if isinstance(item, LogRecord) else 0)

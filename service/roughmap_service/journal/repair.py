@@ -1,4 +1,4 @@
-"""Making a file that a kill left without its footer a whole one, before the run goes on."""
+"""Repairing log files that were torn by a kill or damaged, before the run goes on."""
 
 import contextlib
 import itertools
@@ -12,38 +12,30 @@ from pathlib import Path
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
-from roughmap_service.host.disk import made_anew, sync_directory
+from roughmap_service.host.disk import create_new, sync_directory
 from roughmap_service.journal.file import CHUNK_BYTES, PROFILE
-from roughmap_service.journal.reader import (
-    DamagedLog,
-    FileStart,
-    InputRecord,
-    LogError,
-    is_closed,
-    raw_records,
-    read_file,
-    read_metadata,
-)
+from roughmap_service.journal.reader import DamagedLog, LogError, is_closed, raw_records, read_file, read_metadata
+from roughmap_service.journal.records import FileStart, InputRecord
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 LOST_EPOCHS = 1000
-"""Epochs that may have been told of in what lies behind a damage and can't be read: more than anybody resets."""
+"""More epochs than anybody begins by resets: clients may have seen epochs that only the lost part of a log names."""
 
 
 def repair(path: Path, *, damaged: bool = False) -> Path | None:
-    """Rewrite a torn file up to its last whole record, with a footer; the torn rest is kept as ``FILE.torn``.
+    """Rewrite a torn file up to its last whole record, with a footer; set the rest aside as ``FILE.torn``.
 
-    Returns that file's path, or None if there is no rest: the file was closed, or the kill came between two records. A
-    file whose beginning was never written holds nothing of the run and becomes the ``.torn`` as a whole. The new file
-    is on the disk before it takes the old one's name, so that a kill in here leaves the one or the other. With
-    ``damaged`` a closed file is rewritten too.
+    Return the path of the rest, or None without one: the file was closed, or the kill came between two records. A file
+    whose beginning was never written holds nothing of the run, and is set aside as a whole. The new file is on the disk
+    before it takes the old one's name, so that a kill meanwhile leaves one or the other. With ``damaged``, a closed
+    file is rewritten too.
     """
     if is_closed(path) and not damaged:
         return None
-    torn = _beside(path, "torn")
-    with _made_beside(path, "part") as whole, _made_beside(path, "rest") as copy:
-        with made_anew(whole) as stream:
+    torn = _unused_name(path, "torn")
+    with _temporary(path, "part") as whole, _temporary(path, "rest") as copy:
+        with create_new(whole) as stream:
             writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, enable_data_crcs=True)
             writer.start(profile=PROFILE)
             end = _copy(path, writer)
@@ -55,7 +47,7 @@ def repair(path: Path, *, damaged: bool = False) -> Path | None:
             path.rename(torn)
         else:
             if over:
-                with path.open("rb") as source, made_anew(copy) as rest:
+                with path.open("rb") as source, create_new(copy) as rest:
                     source.seek(end)
                     shutil.copyfileobj(source, rest)
                     rest.flush()
@@ -63,18 +55,18 @@ def repair(path: Path, *, damaged: bool = False) -> Path | None:
                 copy.rename(torn)
             whole.rename(path)
     sync_directory(path.parent)
-    where = f"the rest is in {torn.name}" if over else "nothing was torn"
-    what = "is damaged" if damaged else "had no footer"
-    log.warning("%s %s: %s whole bytes kept, %s", path.name, what, end, where)
+    lost = f"the rest is in {torn.name}" if over else "nothing is lost"
+    cause = "is damaged" if damaged else "had no footer"
+    logger.warning("%s %s: its first %s bytes are kept, %s", path.name, cause, end, lost)
     return torn if over else None
 
 
 def end_at_damage(damage: DamagedLog) -> None:
-    """Make a run end before a damage in one of its files: nothing behind it can be placed as it was.
+    """End a run before the damage in one of its files: what comes after it has lost its place in the run.
 
-    The damaged file keeps what is whole before the damage; the rest of it, and the files behind it, stay beside it
-    under other names (``.torn``, ``.behind``). Where the next file begins with what follows, nothing of the run is
-    missing, and it goes on there. DamagedLog again if nothing of the run would be left.
+    The damaged file keeps the whole records before the damage; its rest (``.torn``) and the files after it
+    (``.behind``) are set aside. The files after it stay if the next one begins with the record that follows: then
+    nothing of the run is missing. DamagedLog again if nothing of the run would be left.
     """
     path = damage.path
     prefix = path.name.rpartition("-")[0]
@@ -85,20 +77,22 @@ def end_at_damage(damage: DamagedLog) -> None:
     except LogError:
         if path == files[0]:
             raise
-        _note_lost(files, prefix)
-        put_behind(behind)
-        path.rename(_beside(path, "torn"))
+        _record_lost_epochs(files, prefix)
+        set_aside(behind)
+        path.rename(_unused_name(path, "torn"))
         sync_directory(path.parent)
         return
-    _note_lost(files, prefix)
-    if not (behind and _lacks_nothing(path, behind[0])):
-        put_behind(behind)
+    _record_lost_epochs(files, prefix)
+    if not (behind and _follows_on(path, behind[0])):
+        set_aside(behind)
     repair(path, damaged=True)
 
 
-def _note_lost(files: list[Path], prefix: str) -> None:
-    """Note, as a file's name, an epoch that is larger than all that were told of in a run's files. It stays, since the
-    start that ends the run here may itself end before it has begun a file of its own."""
+def _record_lost_epochs(files: list[Path], prefix: str) -> None:
+    """Record an epoch larger than any in the run's files, as the name of an empty file.
+
+    It stays on the disk, since this start may end before it has begun a log file.
+    """
     epoch = LOST_EPOCHS
     for file in files:
         with contextlib.suppress(LogError):
@@ -108,24 +102,26 @@ def _note_lost(files: list[Path], prefix: str) -> None:
 
 
 def least_epoch(directory: Path, run: str | None) -> int:
-    """The least epoch with which a run may go on, of which a part was lost; 0 if none was."""
+    """Return the least epoch with which a run that lost a part may go on; 0 if it lost nothing."""
     noted = (path.name.rpartition("-")[2] for path in directory.glob(f"roughmap-{run}.epoch-*"))
     return max((int(epoch) for epoch in noted if epoch.isdecimal()), default=0)
 
 
-def put_behind(files: list[Path]) -> None:
-    """Put files that nothing can be made of beside the log, as ``FILE.behind``."""
-    for file in reversed(files):  # a kill in here leaves no gap
-        kept = file.rename(_beside(file, "behind"))
-        log.error("%s can't be placed in the run, and is %s now", file.name, kept.name)
+def set_aside(files: list[Path]) -> None:
+    """Set aside, as ``FILE.behind``, files that lie behind a damage or a gap."""
+    for file in reversed(files):  # a kill meanwhile leaves no gap
+        aside = file.rename(_unused_name(file, "behind"))
+        logger.error("%s has lost its place in the run; it was set aside as %s", file.name, aside.name)
     if files:
         sync_directory(files[0].parent)
 
 
 @contextmanager
-def _made_beside(path: Path, kind: str) -> Iterator[Path]:
-    """A name for what is made of a file and gets another name when it is whole. Else it goes, whatever failed: a disk
-    that is full must not be full of tries."""
+def _temporary(path: Path, kind: str) -> Iterator[Path]:
+    """Give a name for a file that is to be renamed once it is complete, and remove it otherwise.
+
+    A full disk must not stay full of failed tries.
+    """
     made = path.with_name(f"{path.name}.{kind}")
     try:
         yield made
@@ -133,14 +129,14 @@ def _made_beside(path: Path, kind: str) -> Iterator[Path]:
         made.unlink(missing_ok=True)
 
 
-def _beside(path: Path, kind: str) -> Path:
-    """A name for what is kept of a file, which no earlier repair has taken: a run may come to the same file again."""
+def _unused_name(path: Path, kind: str) -> Path:
+    """Return a name for what is set aside of a file that no earlier repair of the same file has taken."""
     names = (path.with_name(f"{path.name}.{kind}{f'.{n}' if n else ''}") for n in itertools.count())
     return next(name for name in names if not name.exists())
 
 
-def _lacks_nothing(damaged: Path, behind: Path) -> bool:
-    """Whether a damaged file's last whole record of the run is the one before those of the file behind it."""
+def _follows_on(damaged: Path, behind: Path) -> bool:
+    """Return whether the file after a damaged one begins with the record after its last whole record."""
     try:
         first, after = read_metadata(damaged), read_metadata(behind)
     except LogError:
@@ -156,7 +152,7 @@ def _lacks_nothing(damaged: Path, behind: Path) -> bool:
 
 
 def _copy(path: Path, writer: Writer) -> int:
-    """Copy what is whole; returns the byte behind it, 0 if not even the metadata is there."""
+    """Copy the whole records; return where they end in bytes, 0 if not even the metadata is whole."""
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, int] = {}
     end, begun = 0, False
@@ -176,7 +172,6 @@ def _copy(path: Path, writer: Writer) -> int:
                     channels[record.channel_id], record.log_time, record.data, record.publish_time, record.sequence
                 )
             end = behind
-    except (LogError, KeyError):  # KeyError: of a channel or schema that was never told
-        # After a kill only the end can be torn; after a power cut it may hold anything. Either way it ends here.
-        pass
+    except (LogError, KeyError):  # KeyError: a channel or schema without its own record
+        pass  # a kill tears only the end; after a power cut the end may hold anything
     return end if begun else 0

@@ -1,4 +1,4 @@
-"""The log's own thread: appends in order, makes durable in groups, and keeps what a full disk would not take."""
+"""The log's thread: writes in order, syncs in groups, and keeps what a failing disk did not take."""
 
 import contextlib
 import logging
@@ -13,26 +13,31 @@ from typing import Self
 from roughmap_schemas import RunMetadata
 from roughmap_service.host.disk import HANG_SECONDS
 from roughmap_service.host.log_lines import note
-from roughmap_service.journal.file import LogFile, LogRecord, Mark, OpenFile, file_name, open_new
-from roughmap_service.journal.items import Item, Rotate, Sync, cost
+from roughmap_service.journal.file import OpenFile, open_new
+from roughmap_service.journal.file_sequence import FileSequence
+from roughmap_service.journal.items import Item, Rotate, Sync
+from roughmap_service.journal.queue import LogQueue
+from roughmap_service.journal.records import LogRecord
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 RETRY_SECONDS = 1.0
-"""A log that can't be written is tried again so often (the design's)."""
+"""Pause between tries to write a log that can't be written (given by the design)."""
 
 SYNC_SECONDS = 1.0
-"""The disk is asked to keep all at least so often: what came since is held in memory, should the disk fail."""
+"""The longest time between two syncs. What came since the last one is kept in memory, in case the disk fails."""
 
 
 class LogWriter:
-    """Appends the run to files of ``directory``, the first of which begins with ``metadata``; a context manager.
+    """Logs the run to files of ``directory``, the first of which begins with ``metadata``; a context manager.
 
-    ``last_ns`` is the log time of the run's last message so far: times rise, whatever the clock does between starts.
+    `put` never blocks and never fails; a caller that must not run ahead of the disk calls `wait_room` first. Everything
+    is kept in memory until it is on the disk, so that a file that failed can be left and the next one can begin with
+    what the failed one lacks.
 
-    `put` never blocks and never fails: who must not run ahead of the disk asks `wait_room` first. Whatever is not on
-    the disk yet is kept, so that a file that failed can be left behind and its end written first to the next one.
-    ``synced`` is told how many seconds each fsync took.
+    ``last_ns`` is the log time of the run's last message so far: log times rise, whatever the clock does between two
+    starts. ``synced`` is called with the seconds that each fsync took. ``queue_limit`` and ``max_file_bytes`` are in
+    bytes, ``flush_interval`` and ``max_file_age`` in seconds.
     """
 
     def __init__(
@@ -49,132 +54,97 @@ class LogWriter:
         last_ns: int = 0,
         synced: Callable[[float], None] = lambda _seconds: None,
     ) -> None:
-        self._directory = directory
-        self._metadata = metadata
-        self._compression = compression
         self._flush_interval = flush_interval
-        self._queue_limit = queue_limit
         self._max_file_bytes = max_file_bytes
         self._max_file_age = max_file_age
-        self._open_file = open_file
         self._on_sync = synced
-        self._wake = threading.Condition()
-        self._queue: deque[Item] = deque()
-        self._held = 0  # bytes queued or not yet on the disk
-        self._stop = False
-        self._impatient: set[Sync] = set()  # those that are told if the log fails first
-        self._rotating = 0  # ends of the file that are asked for and not done
-        self._unbegun: Path | None = None  # a file of ours whose beginning could not be written
-        self._todo: deque[Item] = deque()
-        self._unsynced: list[Item] = []
-        self._mark = self._synced = Mark(
-            metadata.first_input - 1, metadata.first_record - 1, metadata.epoch, metadata.base_sequence
-        )
-        self._begun = self._mark  # where the present file begins
-        self._first_index = metadata.index
-        self._left = False  # whether the present file failed and was let go
-        self._file = self._open(metadata, last_ns)
-        self._length = self._file.size
+        self._queue = LogQueue(queue_limit)
+        self._files = FileSequence(directory, metadata, compression=compression, open_file=open_file, last_ns=last_ns)
+        self._todo: deque[Item] = deque()  # taken from the queue and not yet written
+        self._unsynced: list[Item] = []  # written since the last sync
         self._last_flush = self._last_sync = time.monotonic()
-        self._asked: float | None = None  # since when the disk is busy with what it was last asked
-        self._failed = ""  # what went wrong, until the log is written again
-        self._hangs = ""
+        self._disk = threading.Lock()  # guards the next two
+        self._asked: float | None = None  # when the disk was given what it is busy with
+        self._hangs = False
         self._thread = threading.Thread(target=self._run, name="log", daemon=True)
         self._thread.start()
 
     @property
     def ok(self) -> bool:
         """Whether the log can be written, as far as is known."""
-        return not self.error
+        return self._queue.ok
 
     @property
     def error(self) -> str:
         """Why it can't be; "" if it can."""
-        return self._failed or self._hangs
+        return self._queue.error
 
     @property
     def path(self) -> Path:
-        """The file that is written to now."""
-        return self._file.path
+        """The present file."""
+        return self._files.path
 
     @property
     def index(self) -> int:
-        """That file's place among the run's, from 0."""
-        return self._metadata.index
+        """The present file's index among the run's files, from 0."""
+        return self._files.index
 
     @property
     def size(self) -> int:
-        """Bytes of that file that are on the disk."""
-        return self._length
+        """Bytes of the present file on the disk."""
+        return self._files.size
 
     @property
     def held(self) -> int:
         """Bytes queued, or written and not yet on the disk."""
-        return self._held
+        return self._queue.held
 
     @property
     def durable_sequence(self) -> int:
-        """The map's sequence as of the last event on the disk."""
-        return self._synced.sequence
+        """The map's sequence after the last event on the disk."""
+        return self._files.durable_sequence
 
     def put(self, item: Item) -> None:
-        """Queue an item; it is written after all that was queued before it."""
-        with self._wake:
-            failed = item.failed if isinstance(item, Sync) else None
-            error = self.error if failed else ""
-            if not error:
-                if isinstance(item, Sync) and failed:
-                    self._impatient.add(item)
-                self._queue.append(item)
-                self._held += cost(item)
-                self._rotating += isinstance(item, Rotate)
-                self._wake.notify_all()
-        if failed and error:
-            failed(error)
+        """Queue an item; it is written after everything queued before it."""
+        self._queue.put(item)
 
     def put_output(self, record: LogRecord) -> bool:
-        """Queue an output, which is no part of the run; False if it was dropped, to leave room for what is."""
-        with self._wake:
-            if not self.ok or self._held + cost(record) > self._queue_limit // 2:
-                return False
-            self._queue.append(record)
-            self._held += cost(record)
-            self._wake.notify_all()
-            return True
+        """Queue an output, which is not part of the run; return False if it was dropped to leave room for the run."""
+        return self._queue.put_output(record)
 
     def wait_room(self, timeout: float) -> bool:
         """Wait at most ``timeout`` s for the queue to be below its limit and the log to be writable."""
-        with self._wake:
-            return self._wake.wait_for(lambda: self.ok and self._held < self._queue_limit, timeout)
+        return self._queue.wait_room(timeout)
 
     def wait_synced(self, timeout: float) -> bool:
-        """Wait until all that was queued before this call is on the disk; False after ``timeout`` s."""
+        """Wait until everything queued before this call is on the disk; return False after ``timeout`` s."""
         done = threading.Event()
         self.put(Sync(done.set))
         return done.wait(timeout)
 
     def wants_rotation(self) -> bool:
-        """The file has reached its size or its age, and nobody asked yet for its end."""
-        age = time.monotonic() - self._file.opened
-        with self._wake:  # what is held goes into this file, and may be much of it, since the disk syncs once a second
-            due = self._length + self._held >= self._max_file_bytes or age >= self._max_file_age
-            return due and self.ok and not self._rotating
+        """Return whether the present file has reached its size or age, and no `Rotate` is queued."""
+        if self._queue.rotating or not self.ok:  # first: after a rotation the size and age below are the new file's
+            return False
+        # What is held goes into this file too, and may be much of it, since the disk syncs once a second.
+        full = self._files.size + self._queue.held >= self._max_file_bytes
+        return full or self._files.age >= self._max_file_age
 
     def look(self) -> None:
-        """Look whether the disk still answers: if it hangs, the log counts as one that can't be written until it does.
-        Call it now and then, since the log's own thread is what hangs."""
-        with self._wake:
-            asked = self._asked
-            if asked is None or self.error or time.monotonic() < asked + HANG_SECONDS:
+        """Check whether the disk still answers. While it hangs, the log counts as one that can't be written.
+
+        Call this regularly from another thread: the log's own is the one that hangs.
+        """
+        with self._disk:
+            if self._asked is None or not self.ok or time.monotonic() < self._asked + HANG_SECONDS:
                 return
-            self._hangs = f"{self._file.path}: its disk has not answered for {HANG_SECONDS:g} s"
-        self._tell_failure()
+            self._hangs = True
+            self._queue.set_error(f"{self.path}: its disk has not answered for {HANG_SECONDS:g} s")
+        self._report_failure()
 
     def close(self, timeout: float = 5.0) -> bool:
-        """Write what is queued, the footer, fsync; False if the disk did not take it within ``timeout`` s."""
-        with self._wake:
-            self._stop = True
-            self._wake.notify_all()
+        """Write what is queued and the footer, and sync; return False if that is not done within ``timeout`` s."""
+        self._queue.end()
         self._thread.join(timeout)
         return not self._thread.is_alive() and self.ok
 
@@ -188,201 +158,141 @@ class LogWriter:
 
     def _run(self) -> None:
         while True:
-            stopping = self._take()
+            ending = self._take()
             try:
                 self._write()
-                if stopping and not self._queue:
+                if ending and self._queue.empty:
                     self._sync()
-                    self._file.close()
+                    self._files.finish()
                     return
-            except Exception as error:  # noqa: BLE001 - whatever it was, what is not on the disk must not be lost
+            except Exception as error:  # noqa: BLE001 - whatever the cause, what is not on the disk must not be lost
                 if not self._start_over(error):
                     return
 
     def _take(self) -> bool:
-        """Take up what is queued, after waiting for something, for the next flush to be due, or for the end."""
-        self._answered(None)
-        with self._wake:
-            due = max(self._last_flush + self._flush_interval - time.monotonic(), 0.0) if self._unsynced else None
-            self._wake.wait_for(lambda: self._stop or bool(self._queue), due)
-            self._todo.extend(self._queue)
-            self._queue.clear()
-            return self._stop
+        """Wait for items, the next flush or the end; take all items. Return whether this is the end."""
+        self._busy_since(None)
+        due = max(self._last_flush + self._flush_interval - time.monotonic(), 0.0) if self._unsynced else None
+        items, ending = self._queue.take(due)
+        self._todo.extend(items)
+        return ending
 
     def _write(self) -> None:
-        """Write what is taken up. At any failure ``_unsynced`` and ``_todo`` hold all that is not on the disk."""
+        """Write what was taken. If this fails, ``_unsynced`` and ``_todo`` hold everything that is not on the disk."""
         while self._todo:
-            self._answered(time.monotonic())
+            self._busy_since(time.monotonic())
             item = self._todo[0]
             if isinstance(item, Rotate):
-                self._sync()
-                self._file.close()
-                self._open_next(item.digest)
-                note(log, logging.INFO, "rotated", f"the log goes on in {self.path}", file=str(self.path))
-                self._todo.popleft()
-                self._release([item])
+                self._rotate(item)
                 continue
             self._unsynced.append(self._todo.popleft())
             if isinstance(item, LogRecord):
-                self._file.write(item)
-                self._mark = self._mark.after(item)
+                self._files.write(item)
         now = time.monotonic()
-        wanted = any(isinstance(item, Sync) for item in self._unsynced)
-        if wanted or now - self._last_sync >= SYNC_SECONDS or self._held > self._queue_limit // 2:
+        asked = any(isinstance(item, Sync) for item in self._unsynced)
+        if asked or now - self._last_sync >= SYNC_SECONDS or self._queue.over_half:
             self._sync()
         elif now - self._last_flush >= self._flush_interval:
-            self._answered(now)
-            self._file.flush()
+            self._busy_since(now)
+            self._files.flush()
             self._last_flush = now
+
+    def _rotate(self, item: Rotate) -> None:
+        self._sync()
+        self._files.finish()
+        self._files.begin_next(item.digest)
+        note(logger, logging.INFO, "rotated", f"the log goes on in {self.path}", file=str(self.path))
+        self._todo.popleft()
+        self._queue.release([item])
 
     def _sync(self) -> None:
         begun = time.monotonic()
-        self._answered(begun)
-        length = self._file.sync()
-        self._last_flush = self._last_sync = time.monotonic()
-        self._answered(self._last_sync)
-        self._on_sync(self._last_sync - begun)
-        self._synced = self._mark
+        self._busy_since(begun)
+        self._files.sync()
         done, self._unsynced = self._unsynced, []
-        self._release(done, length)
+        self._queue.release(done)
+        self._last_flush = self._last_sync = time.monotonic()
+        self._busy_since(self._last_sync)
+        seconds = self._last_sync - begun
+        _follow(lambda: self._on_sync(seconds))
         for item in done:
-            if isinstance(item, Sync) and self._still_waits(item):
-                try:
-                    item.done()
-                except Exception:  # the asker's fault: neither the disk's, nor that of those who asked after it
-                    log.exception("what was to follow on a sync of the log failed")
+            if isinstance(item, Sync) and self._queue.claim(item):
+                _follow(item.done)
 
-    def _still_waits(self, item: Sync) -> bool:
-        with self._wake:
-            waits = item.failed is None or item in self._impatient
-            self._impatient.discard(item)
-            return waits
-
-    def _answered(self, asked: float | None) -> None:
-        """The disk has done what it was asked; it is asked the next thing at ``asked``, if anything."""
-        self._asked = asked
-        if self._hangs:
-            with self._wake:
-                self._hangs = ""
-                self._wake.notify_all()
-            note(log, logging.WARNING, "recovered", f"the log's disk answers again: {self.path}", always=True)
-
-    def _release(self, items: list[Item], length: int | None = None) -> None:
-        with self._wake:
-            self._length = self._length if length is None else length
-            self._held -= sum(cost(item) for item in items)
-            self._rotating -= sum(isinstance(item, Rotate) for item in items)
-            self._wake.notify_all()
+    def _busy_since(self, asked: float | None) -> None:
+        """Note that the disk has answered, and when it was asked the next thing (None: nothing, it is idle)."""
+        with self._disk:
+            self._asked = asked
+            hung, self._hangs = self._hangs, False
+            if hung:
+                self._queue.set_error("")
+        if hung:
+            note(logger, logging.WARNING, "recovered", f"the log's disk answers again: {self.path}", always=True)
 
     def _start_over(self, error: Exception) -> bool:
-        """Leave the failed file as it was last synced, and write what came since to a new one; False at the end."""
+        """Leave the failed file as last synced, and write what came since to a new one; return False at the end."""
         self._fail(error)
-        self._hangs = ""
-        with self._wake:
-            whole = self._stop and not (self._unsynced or self._todo or self._queue)
-        if whole:
-            return self._end_without_footer()
-        self._tell_failure()
+        if self._queue.ending and self._queue.empty and not (self._unsynced or self._todo):
+            self._end_without_footer()
+            return False
+        self._report_failure()
         while True:
-            with self._wake:
-                last = self._wake.wait_for(lambda: self._stop, RETRY_SECONDS)
+            last = self._queue.wait_end(RETRY_SECONDS)
             try:
-                self._leave()
-                self._mark = self._synced
-                self._todo.extendleft(reversed(self._unsynced))
-                self._unsynced.clear()
-                end = self._todo[0] if self._todo else None
-                self._open_next(end.digest if isinstance(end, Rotate) else "")
-                if isinstance(end, Rotate):  # it failed there, and is done now
-                    self._todo.popleft()
-                    self._release([end])
-                self._write()
-                self._sync()
-            except Exception as again:  # noqa: BLE001 - as above
+                self._go_on()
+            except Exception as again:  # noqa: BLE001 - as in `_run`
                 self._fail(again)
                 if last:
                     with contextlib.suppress(OSError):
-                        self._leave()
-                    log.error("the log was given up (%s): its last %d records are lost", self.error, self._kept())
+                        self._files.leave()
+                    logger.error("the log was given up (%s): its last %d records are lost", self.error, self._kept())
                     return False
                 continue
-            with self._wake:
-                self._failed = ""
-                self._wake.notify_all()
-            text = f"the log can be written again: {self._file.path}"
-            note(log, logging.WARNING, "recovered", text, always=True, file=str(self._file.path))
+            self._queue.set_error("")
+            text = f"the log can be written again: {self.path}"
+            note(logger, logging.WARNING, "recovered", text, always=True, file=str(self.path))
             return True
 
-    def _end_without_footer(self) -> bool:
-        """Leave the file as it was synced at the end, when all is in it: a start gives it its footer. False."""
-        log.warning("%s; the log is whole but for this file's footer, which the next start makes", self.error)
-        with contextlib.suppress(OSError):
-            self._file.abandon(self._length)
-        self._left, self._failed = True, ""
-        return False
+    def _go_on(self) -> None:
+        """Go on in a new file, which begins with what the failed one lacks."""
+        self._files.leave()
+        self._todo.extendleft(reversed(self._unsynced))
+        self._unsynced.clear()
+        first = self._todo[0] if self._todo else None
+        self._files.begin_next(first.digest if isinstance(first, Rotate) else "")
+        if isinstance(first, Rotate):  # the failure came in it, and the new file completes it
+            self._todo.popleft()
+            self._queue.release([first])
+        self._write()
+        self._sync()
 
-    def _leave(self) -> None:
-        """Let go of the failed file, cut to what was synced.
-
-        One that holds nothing but its beginning is removed, and the next takes its name: a disk that takes a beginning
-        at every try and never the rest must not fill with them. The first file of a start stays: it tells the epoch.
-        """
-        if self._left:
-            return
-        if self._file.closed or self._metadata.index == self._first_index or self._synced != self._begun:
-            self._file.abandon(self._length)
-        else:
-            self._file.let_go()
-            self._file.path.unlink(missing_ok=True)
-            self._metadata = self._metadata.model_copy(update={"index": self._metadata.index - 1})
-        self._left = True
-
-    def _kept(self) -> int:
-        """Records that are not on the disk."""
-        with self._wake:
-            return sum(isinstance(item, LogRecord) for item in (*self._unsynced, *self._todo, *self._queue))
-
-    def _tell_failure(self) -> None:
-        text = f"the log can't be written ({self.error}); no cloud is decided until it can"
-        note(log, logging.ERROR, "degraded", text, always=True, cause=self.error)
-        with self._wake:
-            told, self._impatient, error = self._impatient, set(), self.error
-        for item in told:
-            if item.failed is not None:
-                item.failed(error)
+    def _end_without_footer(self) -> None:
+        """End with all records on the disk; the next start gives the file its footer."""
+        logger.warning("%s; the log is complete except for this file's footer, which the next start writes", self.error)
+        self._files.leave_unfinished()
+        self._queue.set_error("")
 
     def _fail(self, error: Exception) -> None:
-        told = error.strerror if isinstance(error, OSError) else None
-        self._failed = f"{getattr(error, 'filename', None) or self._file.path}: {told or error or type(error).__name__}"
+        cause = error.strerror if isinstance(error, OSError) else None
+        file = getattr(error, "filename", None) or self.path
+        with self._disk:
+            self._hangs = False
+            self._queue.set_error(f"{file}: {cause or error or type(error).__name__}")
 
-    def _open_next(self, digest: str) -> None:
-        """Go on in a new file; ``digest`` "" where the map's at this place is not known."""
-        metadata = self._metadata.model_copy(
-            update={
-                "created_ns": time.time_ns(),
-                "index": self._metadata.index + 1,
-                "epoch": self._mark.epoch,
-                "first_input": self._mark.input + 1,
-                "first_record": self._mark.record + 1,
-                "base_sequence": self._mark.sequence,
-                "base_digest": digest,
-            }
-        )
-        self._file = self._open(metadata, self._file.last_ns)
-        self._metadata, self._begun, self._left = metadata, self._mark, False
-        self._length = self._file.size
+    def _report_failure(self) -> None:
+        text = f"the log can't be written ({self.error}); no cloud is decided until it can"
+        note(logger, logging.ERROR, "degraded", text, always=True, cause=self.error)
+        self._queue.refuse_impatient()
 
-    def _open(self, metadata: RunMetadata, last_ns: int = 0) -> LogFile:
-        path = self._directory / file_name(metadata.run, metadata.index)
-        if path == self._unbegun:
-            path.unlink(missing_ok=True)
-        try:
-            return LogFile(path, metadata, self._compression, self._open_file, last_ns=last_ns)
-        except FileExistsError:
-            raise  # whatever it is, it is not ours to delete
-        except Exception:
-            # A file without its beginning is no file of the run; the next try takes the same name.
-            self._unbegun = path
-            with contextlib.suppress(OSError):
-                path.unlink(missing_ok=True)
-            raise
+    def _kept(self) -> int:
+        """Return how many records are not on the disk."""
+        own = sum(isinstance(item, LogRecord) for item in (*self._unsynced, *self._todo))
+        return own + self._queue.count_records()
+
+
+def _follow(action: Callable[[], None]) -> None:
+    """Do what follows a sync. A bug in it must not look like a failing disk."""
+    try:
+        action()
+    except Exception:
+        logger.exception("an action that follows a sync of the log failed")

@@ -1,4 +1,4 @@
-"""A run once more: integrates a log again, as its events say, and compares with what was logged."""
+"""Replay: integrate a log again, by its events, and compare with the logged results."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -6,44 +6,41 @@ from dataclasses import replace as with_values
 from pathlib import Path
 
 from roughmap_schemas import CheckpointEvent, CloudReason, Config, Event, IntegrationEvent, configuration_digest
-from roughmap_service.journal.reader import (
-    EventRecord,
-    FileStart,
-    LogError,
-    LogItem,
-    RunFile,
-    find_files,
-    one_run,
-    read_run,
-)
-from roughmap_service.run.apply import RunError, RunState
+from roughmap_schemas.faults import ReportedError
+from roughmap_service.journal.reader import LogError
+from roughmap_service.journal.records import EventRecord, FileStart, LogItem
+from roughmap_service.journal.run_files import RunFile, find_files, one_run, read_run
 from roughmap_service.run.fold import Step, fold
 from roughmap_service.run.inbox import INTEGRATED
+from roughmap_service.run.run import Run, RunError
 from roughmap_service.run.settings import Settings, new_map
 from roughmap_service.store.map_db import Store
+from roughmap_service.store.snapshots import take_cut
 
 
-class ReplayError(Exception):
-    """These logs can't be replayed as asked; one line. Exit 2."""
+class ReplayError(ReportedError):
+    """The logs can't be replayed as requested; one line."""
+
+    exit_code = 2
 
 
 @dataclass
 class Replayed:
-    """A replay's end. ``difference`` is None where all that was compared is equal; ``config`` is the last file's."""
+    """The result of a replay. ``difference`` is None if everything was equal; ``config`` is the last file's."""
 
-    run: str
+    run_id: str
     config: Config
-    state: RunState
+    run: Run
     checkpoints: int = 0
     events: int = 0
     difference: str | None = None
 
     @property
     def verdict(self) -> str:
-        """The last line on stdout."""
+        """The last line of `roughmap replay`."""
         if self.difference is not None:
             return f"differs at {self.difference}"
-        rough_map = self.state.map
+        rough_map = self.run.map
         return f"equal: {self.checkpoints} checkpoints, sequence {rough_map.sequence}, digest {rough_map.digest()}"
 
 
@@ -51,26 +48,26 @@ Watch = Callable[[Step], None]
 
 
 def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watch | None = None) -> Replayed:
-    """Integrate the logs again and compare each event and checkpoint; ends at the first difference.
+    """Integrate the logs again and compare each event and checkpoint; stop at the first difference.
 
-    ``from_store`` is the map.db at whose cut the logs begin, where they don't begin with the run. LogError or
-    ReplayError where the logs are no whole run. An event that can't be done at its place of the log is a difference.
+    ``from_store`` is the map.db from which the logs continue, if they do not begin with the run. LogError or
+    ReplayError if the logs are not one complete run. An event that can't be applied at its place is a difference.
     """
     files = one_run(find_files(paths))
     config = config_of(files[0])
-    state = RunState(Settings(config), new_map(config))
-    taken, low_water = _begin(files, state, from_store)
-    result = Replayed(files[0].metadata.run, config, state)
+    run = Run(Settings(config), new_map(config))
+    taken, low_water = _begin(files, run, from_store)
+    result = Replayed(files[0].metadata.run, config, run)
     reached: LogItem | None = None
 
     def items() -> Iterator[LogItem]:
         nonlocal reached
-        for reached in read_run(files):  # noqa: UP028 - it is also what a RunError is about
+        for reached in read_run(files):  # noqa: UP028 - a RunError is about the last item
             yield reached
 
     try:
-        for step in fold(state, items(), taken=taken, low_water=low_water):
-            result.difference = _compare(step, state, taken)
+        for step in fold(run, items(), taken=taken, low_water=low_water):
+            result.difference = _compare(step, run, taken)
             if result.difference is not None:
                 return result
             if isinstance(step.item, FileStart):
@@ -81,16 +78,16 @@ def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watc
             if watch is not None:
                 watch(step)
     except RunError as error:
-        sequence = reached.event.sequence if isinstance(reached, EventRecord) else state.map.sequence
+        sequence = reached.event.sequence if isinstance(reached, EventRecord) else run.map.sequence
         result.difference = f"sequence {sequence}: {error}"
         return result
-    if from_store is not None and state.record == taken:
+    if from_store is not None and run.record == taken:
         raise ReplayError(
-            f"{from_store} holds all of this log already (sequence {state.map.sequence}): nothing is left to compare; "
-            "replay without --from compares the whole run"
+            f"{from_store} already contains all of this log (sequence {run.map.sequence}), so there is nothing to "
+            "compare; without --from the whole run is compared"
         )
     if not result.checkpoints:
-        raise ReplayError("the logs hold no checkpoint to compare with")
+        raise ReplayError("the logs contain no checkpoint to compare with")
     return result
 
 
@@ -98,27 +95,30 @@ def what_if(
     paths: Sequence[Path],
     change: Callable[[Config], Config] = lambda config: config,
     *,
-    watch: Callable[[Step, RunState], None] | None = None,
-) -> RunState:
-    """Integrate the logs again with the poses that the events name, each file under what ``change`` makes of its
-    settings; nothing is compared. Errors as `replay`, and RunError where an event can't be done under the settings."""
+    watch: Callable[[Step, Run], None] | None = None,
+) -> Run:
+    """Integrate the logs again with changed settings, and with the poses that the events name; compare nothing.
+
+    ``change`` is applied to the settings of each file. Errors as `replay`, and RunError if an event can't be applied
+    with these settings.
+    """
     files = one_run(find_files(paths))
     config = change(config_of(files[0]))
-    state = RunState(Settings(config), new_map(config))
-    _begin(files, state, None)
+    run = Run(Settings(config), new_map(config))
+    _begin(files, run, None)
 
     def items() -> Iterator[LogItem]:
         for item in read_run(files):
-            yield _anew(item, change)
+            yield _with_settings(item, change)
 
-    for step in fold(state, items()):
+    for step in fold(run, items()):
         if watch is not None:
-            watch(step, state)
-    return state
+            watch(step, run)
+    return run
 
 
-def _anew(item: LogItem, change: Callable[[Config], Config]) -> LogItem:
-    """An item of the log as it is taken under other settings: what was refused for its tiles is placed again."""
+def _with_settings(item: LogItem, change: Callable[[Config], Config]) -> LogItem:
+    """Return a log item as it is under other settings: clouds rejected as `too_many_tiles` are integrated again."""
     if isinstance(item, FileStart):
         return with_values(item, config=change(item.config))
     if isinstance(item, EventRecord) and isinstance(event := item.event, IntegrationEvent):
@@ -128,52 +128,52 @@ def _anew(item: LogItem, change: Callable[[Config], Config]) -> LogItem:
 
 
 def config_of(file: RunFile) -> Config:
-    """The settings with which a file begins; LogError if they can't be read."""
+    """Return the settings of a log file; LogError if they can't be read."""
     try:
-        return Config.model_validate(file.metadata.configuration)
+        return Config.from_log(file.metadata.configuration)
     except ValueError as error:
         raise LogError(f"{file.path}: its configuration can't be read: {str(error).splitlines()[0]}") from None
 
 
-def _begin(files: Sequence[RunFile], state: RunState, from_store: Path | None) -> tuple[int, int]:
-    """Bring the state to where the logs begin; returns the record and the low-water input from which they count."""
+def _begin(files: Sequence[RunFile], run: Run, from_store: Path | None) -> tuple[int, int]:
+    """Bring the state to where the logs begin; return the record and the low-water input there."""
     first = files[0].metadata
     if from_store is None:
         if first.base_sequence or first.first_record > 1:
             raise ReplayError(
-                f"{files[0].path.name} begins at record {first.first_record} (sequence {first.base_sequence}), not "
-                "where the run does: give the map.db that it goes on from (--from map.db), or the files before it"
+                f"{files[0].path.name} begins at record {first.first_record} (sequence {first.base_sequence}), "
+                "not at the beginning of the run: add the files before it, or its map.db (--from map.db)"
             )
         return 0, 1
     store = Store(from_store)
     cut = store.read_cut()
     if cut is None:
-        raise ReplayError(f"{from_store}: no map is stored there")
+        raise ReplayError(f"{from_store}: contains no map")
     if cut.run != first.run:
-        raise ReplayError(f"{from_store} is of run {cut.run[:8]}, the logs are of run {first.run[:8]}")
+        raise ReplayError(f"{from_store} belongs to run {cut.run[:8]}, the logs to run {first.run[:8]}")
     if cut.record + 1 < first.first_record:
-        raise ReplayError(f"gap: {from_store} ends at record {cut.record}, the logs begin at {first.first_record}")
+        raise ReplayError(
+            f"gap: {from_store} ends at record {cut.record}, the logs begin at record {first.first_record}"
+        )
     if first.first_input > cut.low_water:
         raise ReplayError(
-            f"gap: the logs begin at input {first.first_input}, and {from_store} waits for input {cut.low_water}"
+            f"gap: the logs begin at input {first.first_input}, but {from_store} needs input {cut.low_water} too"
         )
-    if cut.configuration_digest != configuration_digest(state.settings.config):
-        raise ReplayError(f"{from_store} and the logs hold maps of other settings ([map])")
-    store.load_into(state.map, cut)
-    state.epoch, state.input, state.record = cut.epoch, cut.input, cut.record
-    for robot, buffer in cut.poses.items():
-        state.buffer(robot).load_state(buffer)
+    if cut.configuration_digest != configuration_digest(run.settings.config):
+        raise ReplayError(f"{from_store} and the logs have different settings in [map]")
+    store.load_into(run.map, cut)
+    take_cut(cut, run)
     return cut.record, cut.low_water
 
 
-def _compare(step: Step, state: RunState, taken: int) -> str | None:
-    """What differs between a step and the log, None if nothing does."""
+def _compare(step: Step, run: Run, taken: int) -> str | None:
+    """Return what differs between a step and the log; None if nothing does."""
     item = step.item
     if isinstance(item, FileStart):
         base = item.metadata
         if base.first_record <= taken or not base.base_digest:
             return None
-        found = state.map.sequence, state.map.digest()
+        found = run.map.sequence, run.map.digest()
         if found != (base.base_sequence, base.base_digest):
             logged = f"{base.base_sequence}, {base.base_digest}"
             return f"sequence {found[0]}: {item.path.name} begins with {logged}; found {found[1]}"

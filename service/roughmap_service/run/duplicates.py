@@ -1,6 +1,5 @@
-"""The messages that a run has already logged, so that one sent twice enters it once."""
+"""Messages that the run has already logged, so that one sent twice counts once."""
 
-import logging
 from collections import OrderedDict
 from collections.abc import Iterable
 
@@ -8,17 +7,15 @@ import xxhash
 
 from roughmap_schemas.kinds import Kind
 
-log = logging.getLogger(__name__)
-
-
 Identity = tuple[str, str, str]
 """Robot, kind and hash of a message."""
 
 
 class Duplicates:
-    """The last messages by robot, kind and the 128-bit hash of their bytes, each with the input number it got.
+    """The last messages by robot, kind and the 128-bit hash of their bytes, each with its input number.
 
-    Past the limit the oldest of the robot that has most is forgotten: who sends very many has no other's forgotten.
+    Past the limit the oldest message of the robot with most of them is forgotten, so that a flood from one robot does
+    not push out the messages of others.
     """
 
     def __init__(self, limit: int) -> None:
@@ -28,16 +25,16 @@ class Duplicates:
 
     @staticmethod
     def identity(robot: str, kind: Kind, payload: bytes) -> Identity:
-        """What makes two messages the same one."""
+        """What two equal messages have in common."""
         return robot, kind.value, xxhash.xxh3_128_hexdigest(payload)
 
     def find(self, identity: Identity) -> int | None:
-        """The input number of that message, None if it is not among the last ones."""
+        """The message's input number; None if it is not among the last ones."""
         of = self._seen.get(identity[0])
         return None if of is None else of.get(identity)
 
     def add(self, identity: Identity, number: int) -> None:
-        """Remember a message as the newest, and forget one past the limit."""
+        """Remember a message as the newest; past the limit forget one."""
         of = self._seen.setdefault(identity[0], OrderedDict())
         self._number += of.pop(identity, None) is None
         of[identity] = number

@@ -1,86 +1,107 @@
-"""Which cloud is decided next, and how: a pure state machine over clouds, poses and a clock that it is told."""
+"""Which cloud is decided next, and how: a state machine over clouds, poses and the times given to it."""
 
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Self
 
 from roughmap_schemas import Cloud, CloudReason
-from roughmap_service.run.poses import Pose, PoseBuffer, too_far_apart, too_fast
+from roughmap_service.run.placing import span
+from roughmap_service.run.poses import PoseBuffer, too_far_apart, too_fast
 from roughmap_service.run.settings import Settings
 
 INTEGRATED = "integrated"
 
 
 @dataclass(frozen=True, slots=True)
-class WaitingCloud:
-    """A logged cloud without a decision. ``arrival`` in monotonic seconds. A ``promised`` one was acknowledged, or
-    waited over a restart: it never ends for want of room."""
+class Arrival:
+    """When a message came in, in monotonic s. A ``promised`` one was acknowledged or waited over a restart, and never
+    ends for want of room; a ``resumed`` one waited over a restart."""
+
+    at: float
+    promised: bool = False
+    resumed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedCloud:
+    """A logged cloud without a decision: its input number, the time span of its points in ns, its size in bytes."""
 
     input: int
     robot: str
     cloud: Cloud
     first_ns: int
     last_ns: int
-    arrival: float
     size: int
-    promised: bool
+    arrival: Arrival
+
+    @classmethod
+    def of(cls, number: int, robot: str, cloud: Cloud, arrival: Arrival) -> Self:
+        """The cloud of a message."""
+        return cls(number, robot, cloud, *span(cloud), cloud.held_bytes, arrival)
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
-    """What is to be done with a cloud: place it with these poses, or end it for a reason."""
+class Proposal:
+    """What to do with a cloud: integrate it with these poses, or end it for a reason.
 
-    cloud: WaitingCloud
+    ``poses`` are (odometry input, transform input or 0), ascending by stamp.
+    """
+
+    cloud: LoggedCloud
     outcome: str
-    poses: tuple[Pose, ...] = ()
+    poses: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(slots=True)
 class Row:
-    """Clouds in order of arrival, which leave it from its front alone."""
+    """Clouds in order of arrival; they leave from the front only."""
 
-    clouds: deque[WaitingCloud] = field(default_factory=deque)
-    rising: deque[WaitingCloud] = field(default_factory=deque)
-    """Those behind which none is earlier: the first has the earliest time of all."""
+    clouds: deque[LoggedCloud] = field(default_factory=deque)
+    rising: deque[LoggedCloud] = field(default_factory=deque)
+    """The clouds that no later one precedes in time: the first holds the earliest point of the row."""
 
-    def append(self, cloud: WaitingCloud) -> None:
-        """Take a cloud in."""
+    def append(self, cloud: LoggedCloud) -> None:
+        """Add a cloud."""
         self.clouds.append(cloud)
         while self.rising and self.rising[-1].first_ns > cloud.first_ns:
             self.rising.pop()
         self.rising.append(cloud)
 
     def popleft(self) -> None:
-        """Let the first go."""
+        """Remove the first."""
         if self.rising[0] is self.clouds.popleft():
             self.rising.popleft()
 
 
 @dataclass(slots=True)
 class RobotQueue:
-    """One robot's clouds, by whether they were promised, with what is asked at each message at hand: there may be
-    thousands. Only the first of each row ever goes: it is decided, or, if published, ended for want of room."""
+    """One robot's clouds, published and promised apart.
+
+    Thousands may wait, and each message asks for the first and the earliest, so both are at hand. Only the first of a
+    row ever leaves: it is decided or, if published, ended for want of room.
+    """
 
     published: Row = field(default_factory=Row)
     promised: Row = field(default_factory=Row)
     size: int = 0
 
-    def append(self, cloud: WaitingCloud) -> None:
-        """Take a cloud in."""
-        (self.promised if cloud.promised else self.published).append(cloud)
+    def append(self, cloud: LoggedCloud) -> None:
+        """Add a cloud."""
+        (self.promised if cloud.arrival.promised else self.published).append(cloud)
         self.size += cloud.size
 
-    def remove(self, cloud: WaitingCloud) -> None:
-        """Let the first cloud of its row go."""
-        (self.promised if cloud.promised else self.published).popleft()
+    def remove(self, cloud: LoggedCloud) -> None:
+        """Remove a cloud, the first of its row."""
+        (self.promised if cloud.arrival.promised else self.published).popleft()
         self.size -= cloud.size
 
     def __len__(self) -> int:
         return len(self.published.clouds) + len(self.promised.clouds)
 
     @property
-    def first(self) -> WaitingCloud:
-        """The one that came first."""
+    def first(self) -> LoggedCloud:
+        """The cloud that came first."""
         return min((row.clouds[0] for row in self._rows()), key=lambda cloud: cloud.input)
 
     @property
@@ -94,25 +115,27 @@ class RobotQueue:
 
 @dataclass
 class Inbox:
-    """Clouds in order of arrival a robot; robots don't wait for each other.
+    """Each robot's clouds in order of arrival; robots don't wait for each other.
 
-    ``poses`` is the robots' pose buffers, which others fill. Wall time is never compared with stamps: the only clock
-    is the monotonic one of `arrival` and `tick`.
+    ``poses`` are the robots' pose buffers; the run fills them. Stamps are never compared with wall time: the only clock
+    is the monotonic time of arrivals and of `tick`.
     """
 
     settings: Settings
     poses: Mapping[str, PoseBuffer]
     queues: dict[str, RobotQueue] = field(default_factory=dict)
-    ended: deque[Decision] = field(default_factory=deque)
+    ended: deque[Proposal] = field(default_factory=deque)
     size: int = 0
 
     def has_room(self, size: int) -> bool:
-        """Whether a cloud of ``size`` bytes fits without ending another; one alone does, which may hold more than its
-        message has."""
+        """Whether a cloud of ``size`` bytes fits without ending another.
+
+        One alone always fits: decoded, it may be larger than its message.
+        """
         return not self.size or self.size + size <= self.settings.queue_limit
 
-    def feed(self, cloud: WaitingCloud) -> None:
-        """A cloud was logged. Past the limit the oldest published cloud of the robot that holds most ends."""
+    def feed(self, cloud: LoggedCloud) -> None:
+        """Add a logged cloud. Past the limit the oldest published cloud of the robot with most bytes ends."""
         self.queues.setdefault(cloud.robot, RobotQueue()).append(cloud)
         self.size += cloud.size
         while self.size > self.settings.queue_limit and self.size > cloud.size:
@@ -122,68 +145,65 @@ class Inbox:
             self._end(victim, CloudReason.OVERLOAD)
 
     def clock_reset(self, robot: str) -> None:
-        """The robot's clock was set back: what waits for the old clock's poses waits in vain."""
+        """End the robot's clouds: its clock was set back, and no more poses of the old clock will come."""
         while robot in self.queues:
             self._end(self.queues[robot].first, CloudReason.CLOCK_RESET)
 
     def holds_before(self, robot: str, stamp_ns: int) -> bool:
-        """Whether a cloud of the robot waits that has a point before that time."""
+        """Whether a waiting cloud of the robot has a point before that time."""
         return robot in self.queues and self.queues[robot].earliest_ns < stamp_ns
 
-    def tick(self, now: float) -> Decision | None:
-        """The next decision at monotonic time ``now``, or None. Robots take turns, so that none waits behind all that
-        another one sent."""
+    def tick(self, now: float) -> Proposal | None:
+        """The next decision at monotonic time ``now`` (s), or None.
+
+        Robots take turns, so that a flood from one does not hold up the others.
+        """
         if self.ended:
             return self.ended.popleft()
         for robot, queue in self.queues.items():
-            decision = self._judge(queue.first, now)
-            if decision is not None:
-                self.queues[robot] = self.queues.pop(robot)  # behind the others
-                self._remove(decision.cloud)
-                return decision
+            proposal = self._judge(queue.first, now)
+            if proposal is not None:
+                self.queues[robot] = self.queues.pop(robot)  # to the end of the line
+                self._remove(proposal.cloud)
+                return proposal
         return None
 
     def deadline(self) -> float | None:
-        """The monotonic time at which the next wait ends; None when nothing waits."""
+        """The monotonic time (s) at which the next wait ends; None if nothing waits."""
         if self.ended:
             return 0.0
         if not self.queues:
             return None
-        return min(queue.first.arrival for queue in self.queues.values()) + self.settings.max_wait
+        return min(queue.first.arrival.at for queue in self.queues.values()) + self.settings.max_wait
 
-    def oldest_input(self) -> int | None:
-        """The smallest input number without a decision: the low-water position."""
-        waiting = [queue.first.input for queue in self.queues.values()]
-        waiting += [decision.cloud.input for decision in self.ended]
-        return min(waiting, default=None)
-
-    def _judge(self, cloud: WaitingCloud, now: float) -> Decision | None:
+    def _judge(self, cloud: LoggedCloud, now: float) -> Proposal | None:
         if cloud.cloud.frame_id == self.settings.frame_id:
-            return Decision(cloud, INTEGRATED)
+            return Proposal(cloud, INTEGRATED)
         buffer = self.poses.get(cloud.robot)
         if buffer is not None:
             if cloud.first_ns < buffer.horizon_ns:
-                return Decision(cloud, CloudReason.LATE)
+                return Proposal(cloud, CloudReason.LATE)
             if buffer.covers(cloud.first_ns, cloud.last_ns):
-                poses = tuple(buffer.window(cloud.first_ns, cloud.last_ns))
+                poses = buffer.window(cloud.first_ns, cloud.last_ns)
+                outcome = INTEGRATED
                 if too_far_apart(poses, self.settings.max_pose_gap_ns):
-                    return Decision(cloud, CloudReason.POSE_GAP, poses)
-                if too_fast(poses, self.settings.max_speed, self.settings.max_turn):
-                    return Decision(cloud, CloudReason.POSE_JUMP, poses)
-                return Decision(cloud, INTEGRATED, poses)
-        if now >= cloud.arrival + self.settings.max_wait:  # the same sum as in deadline(), so that then it is due
-            return Decision(cloud, CloudReason.NO_POSE)
+                    outcome = CloudReason.POSE_GAP
+                elif too_fast(poses, self.settings.max_speed, self.settings.max_turn):
+                    outcome = CloudReason.POSE_JUMP
+                return Proposal(cloud, outcome, tuple((pose.input, pose.transform) for pose in poses))
+        if now >= cloud.arrival.at + self.settings.max_wait:  # the same sum as in deadline(), to the bit
+            return Proposal(cloud, CloudReason.NO_POSE)
         return None
 
-    def _victim(self) -> WaitingCloud | None:
+    def _victim(self) -> LoggedCloud | None:
         queues = [queue for queue in self.queues.values() if queue.published.clouds]
         return max(queues, key=lambda queue: queue.size).published.clouds[0] if queues else None
 
-    def _end(self, cloud: WaitingCloud, reason: CloudReason) -> None:
+    def _end(self, cloud: LoggedCloud, reason: CloudReason) -> None:
         self._remove(cloud)
-        self.ended.append(Decision(cloud, reason))
+        self.ended.append(Proposal(cloud, reason))
 
-    def _remove(self, cloud: WaitingCloud) -> None:
+    def _remove(self, cloud: LoggedCloud) -> None:
         queue = self.queues[cloud.robot]
         queue.remove(cloud)
         if not queue:

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from roughmap_schemas.geometry import Matrix, Quaternion, Vector
+
 Floats = npt.NDArray[np.float64]
-Triple = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-Matrix = tuple[Triple, Triple, Triple]
 
 
-def triple(values: Sequence[float] | Floats) -> Triple:
+def triple(values: Sequence[float] | Floats) -> Vector:
     """Three numbers as plain floats."""
     x, y, z = (float(v) for v in values)
     return x, y, z
@@ -24,17 +23,7 @@ def quaternion(values: Sequence[float] | Floats) -> Quaternion:
     return x, y, z, w
 
 
-def matrix(q: Quaternion) -> Matrix:
-    """Rotation matrix of a unit quaternion (x, y, z, w)."""
-    x, y, z, w = q
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-    )
-
-
-def rotate(r: Matrix, v: Triple) -> Triple:
+def rotate(r: Matrix, v: Vector) -> Vector:
     """r v."""
     x, y, z = (row[0] * v[0] + row[1] * v[1] + row[2] * v[2] for row in r)
     return x, y, z

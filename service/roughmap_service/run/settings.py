@@ -1,4 +1,4 @@
-"""The configuration, unpacked once into the plain values that decide what becomes of the inputs."""
+"""The configuration, unpacked once into the plain values that the rules of a run use."""
 
 from dataclasses import dataclass
 
@@ -12,15 +12,15 @@ from roughmap_schemas import Config, SensorConfig
 NS = 1_000_000_000
 
 LARGEST_SIGMA = 1e100
-"""Sigmas beyond it, which say no more, count as this one, whose square is still a number."""
+"""Larger sigmas count as this one: its square is still finite."""
 
 LONGEST_HISTORY = float(1 << 32)
-"""All stamps lie within so many seconds; more of them may be no number of nanoseconds."""
+"""Seconds that span all stamps; more might not fit an integer number of nanoseconds."""
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor as the core takes it: where it sits in the robot, its noise, and which of its points are kept."""
+    """A sensor as the core takes it: its pose on the robot, its noise, and the limits on its points."""
 
     translation: tuple[float, float, float]
     rotation: tuple[float, float, float, float]
@@ -29,7 +29,7 @@ class Sensor:
 
 
 class Settings:
-    """What of the configuration bears on poses, decisions and integration."""
+    """The settings that poses, decisions and integration depend on."""
 
     def __init__(self, config: Config) -> None:
         inputs = config.input
@@ -43,8 +43,6 @@ class Settings:
         self.max_turn = inputs.max_turn
         self.queue_limit = inputs.queue_limit
         self.max_robots = inputs.max_robots
-        self.max_poses = inputs.max_poses
-        self.max_transforms = inputs.max_transforms
         self.max_new_tiles = config.map.max_new_tiles
         self.max_tiles = config.map.max_tiles
         pose_sigma = np.minimum(np.array(inputs.pose_sigma, np.float64), LARGEST_SIGMA)
@@ -57,12 +55,12 @@ class Settings:
         self._sensors: dict[tuple[str, str], Sensor | None] = {}
 
     def sensor(self, robot: str, frame_id: str) -> Sensor | None:
-        """The sensor of that frame on that robot; None if none is configured."""
+        """The sensor with that frame on that robot; None if it is not configured."""
         key = (robot, frame_id)
         if key not in self._sensors:
             found = self.config.sensor(robot, frame_id)
             if found is None:
-                return None  # not kept: frames that nobody configured come from outside and have no bound
+                return None  # not cached: unknown frame names come from outside, and there is no limit on their number
             self._sensors[key] = _sensor(found, self.max_pose_gap)
         return self._sensors[key]
 
@@ -89,11 +87,11 @@ def _sensor(config: SensorConfig, max_pose_gap: float) -> Sensor:
 
 
 CACHE_SHARE = 1 / 16
-"""Part of the memory limit that merged tiles, kept for readers, may take."""
+"""Part of the memory limit for merged tiles that are kept for readers."""
 
 
 def new_map(config: Config, shelf: Shelf | None = None) -> RoughMap:
-    """An empty map with the configuration's identity."""
+    """Make an empty map with the configuration's identity."""
     m = config.map
     rough_map = RoughMap(
         cell_size=m.cell_size,

@@ -1,4 +1,4 @@
-"""What readers see of the map: whole scans only, one sequence and one epoch at a time."""
+"""What readers see of the map: whole scans, at one sequence and epoch at a time."""
 
 import threading
 from collections import deque
@@ -7,13 +7,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from roughmap import RoughMap
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap.tiles.index import TileBox, TileVersions
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """What the map was right before the change that is going on: enough for answers whose tiles are drawn already."""
+    """The map right before the present change: enough for answers whose tiles are already drawn."""
 
     epoch: int
     sequence: int
@@ -38,7 +38,7 @@ class View:
         """While a change is going on, and if someone read since the last one, the map as it was before it."""
         self._lock = threading.Lock()
         self._turn = threading.Lock()
-        self._left: deque[Frozen] = deque()
+        self._left: deque[FrozenMap] = deque()
         self._was_read = False
         self._changed = threading.Condition(threading.Lock())
         self._closed = False
@@ -50,11 +50,28 @@ class View:
         with self._turn:
             self._lock.acquire()
         try:
-            while self._left:
-                self._left.popleft().close()
+            self._close_left()
             yield
         finally:
             self._lock.release()
+            self._close_left_if_free()
+
+    def _close_left(self) -> None:
+        """Close what readers left here; call it with the lock held."""
+        while self._left:
+            self._left.popleft().close()
+
+    def _close_left_if_free(self) -> None:
+        """Close what readers left here, unless the lock is held.
+
+        Called after each release and after each reader that leaves something: one of the two finds the lock free, so
+        nothing stays pinned.
+        """
+        while self._left and self._lock.acquire(blocking=False):
+            try:
+                self._close_left()
+            finally:
+                self._lock.release()
 
     @contextmanager
     def change(self) -> Iterator[RoughMap]:
@@ -79,7 +96,7 @@ class View:
             yield self.map
 
     @contextmanager
-    def freeze(self, level: int = 0, box: TileBox | None = None) -> Iterator[tuple[Frozen, int]]:
+    def freeze(self, level: int = 0, box: TileBox | None = None) -> Iterator[tuple[FrozenMap, int]]:
         """A frozen part of the map and the epoch that it is of; see `RoughMap.freeze` for ``level`` and ``box``."""
         with self.reading() as rough_map:
             frozen, epoch = rough_map.freeze(level, box), self.epoch
@@ -92,15 +109,10 @@ class View:
         """Ask for `standing` at the next change."""
         self._was_read = True
 
-    def let_go(self, frozen: Frozen) -> None:
-        """Close what was frozen, now or, if the map is in use, by the next one who takes it: no answer waits for it."""
-        if self._lock.acquire(blocking=False):
-            try:
-                frozen.close()
-            finally:
-                self._lock.release()
-        else:
-            self._left.append(frozen)
+    def let_go(self, frozen: FrozenMap) -> None:
+        """Close a frozen part of the map now or, if the map is in use, when that use ends: no answer waits for it."""
+        self._left.append(frozen)
+        self._close_left_if_free()
 
     def wait_change(self, after: tuple[int, int], timeout: float) -> bool:
         """Wait at most ``timeout`` seconds until (epoch, sequence) is no longer ``after``; False if it still is."""
@@ -114,5 +126,3 @@ class View:
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        with self._held():
-            pass  # what was left to be closed

@@ -1,1 +1,1 @@
-"""A simulated rover, and the playing of recorded scans."""
+"""A simulated rover, and the publishing of recorded scans."""

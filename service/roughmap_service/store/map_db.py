@@ -14,7 +14,8 @@ import zstandard
 
 from roughmap import CELL_DTYPE, STATE_VERSION, RoughMap
 from roughmap.arrays import I8, Records
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.host.disk import make_directory, sync_directory
 
 TILE_BYTES = 64 * 64 * CELL_DTYPE.itemsize
@@ -35,8 +36,10 @@ READ_INDEX = "SELECT tx, ty, oldest_ns, newest_ns, checksum, digest"
 """What is stored of a tile beside its records."""
 
 
-class StoreError(Exception):
+class StoreError(ReportedError):
     """A map.db that can't be used; one line that names the file, what is wrong and what to do."""
+
+    exit_code = 2
 
 
 class DamagedStore(StoreError):
@@ -158,7 +161,7 @@ class Store:
             except ValueError as error:
                 raise self.damaged(str(error)) from None
 
-    def write(self, cut: Cut, frozen: Frozen, after: int | None, went_on: Callable[[], None] = lambda: None) -> None:
+    def write(self, cut: Cut, frozen: FrozenMap, after: int | None, went_on: Callable[[], None] = lambda: None) -> None:
         """Commit a cut: the tiles of ``frozen`` that changed after sequence ``after`` (None: all, and no others).
         ``went_on`` is called at each tile.
 
@@ -208,7 +211,7 @@ class Store:
         sync_directory(self.path.parent)
         return aside
 
-    def put_away(self) -> Path:
+    def set_aside_damaged(self) -> Path:
         """Rename a store that can't be used as one, with what SQLite keeps beside it; returns the new name."""
         aside = self.path.with_name(f"{self.path.name}.damaged")
         for ending in ("-wal", "-shm", ""):
@@ -266,7 +269,7 @@ def _checksum(texts: Mapping[str, str]) -> str:
 
 
 def _rows(
-    frozen: Frozen, after: int | None, pack: zstandard.ZstdCompressor, went_on: Callable[[], None]
+    frozen: FrozenMap, after: int | None, pack: zstandard.ZstdCompressor, went_on: Callable[[], None]
 ) -> Iterable[tuple[Any, ...]]:
     for (tx, ty), sequence in zip(frozen.tiles.tolist(), frozen.sequences.tolist(), strict=True):
         if after is not None and sequence <= after:

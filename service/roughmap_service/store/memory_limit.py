@@ -75,7 +75,7 @@ def trim_allocator() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-class Memory:
+class MemoryLimit:
     """Watches resident memory, less what it was when this was made: before the first tile, when all else was ready.
 
     Attributes:

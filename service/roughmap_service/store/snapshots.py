@@ -5,14 +5,13 @@ import threading
 import time
 from collections.abc import Callable
 
-from roughmap.reading.frozen import Frozen
+from roughmap.reading.frozen import FrozenMap
 from roughmap_schemas import Config, configuration_digest
 from roughmap_service.host.log_lines import note
 from roughmap_service.journal.keep import Needed, delete_oldest
 from roughmap_service.journal.writer import LogWriter
-from roughmap_service.run.apply import RunState
-from roughmap_service.run.duplicates import Duplicates
-from roughmap_service.run.inbox import Inbox
+from roughmap_service.run.run import Run
+from roughmap_service.run.settings import NS
 from roughmap_service.run.view import View
 from roughmap_service.store.map_db import Cut, Store, StoreError
 from roughmap_service.store.spill import Spill, SpillError
@@ -29,22 +28,31 @@ READ_SECONDS = 0.05
 """How often a snapshot looks whether readings that it must wait for are over."""
 
 
-def cut_of(run: str, config: Config, state: RunState, inbox: Inbox, duplicates: Duplicates) -> Cut:
-    """Where the run stands; call it where nobody changes the state meanwhile."""
-    oldest = inbox.oldest_input()
+def cut_of(run_id: str, config: Config, run: Run) -> Cut:
+    """Where the run stands; call it where nothing changes the run meanwhile."""
+    oldest = min(run.clouds, default=None)
     return Cut(
-        run=run,
-        epoch=state.epoch,
-        sequence=state.map.sequence,
-        input=state.input,
-        record=state.record,
-        low_water=oldest if oldest is not None else state.input + 1,
+        run=run_id,
+        epoch=run.epoch,
+        sequence=run.map.sequence,
+        input=run.input,
+        record=run.record,
+        low_water=oldest if oldest is not None else run.input + 1,
         configuration=config.public_dict(),
         configuration_digest=configuration_digest(config),
-        poses={robot: buffer.to_state() for robot, buffer in state.poses.items()},
-        duplicates=duplicates.to_state(),
-        digest=state.map.digest(),
+        poses={robot: buffer.to_state() for robot, buffer in run.poses.items()},
+        duplicates=run.duplicates.to_state(),
+        digest=run.map.digest(),
     )
+
+
+def take_cut(cut: Cut, run: Run) -> None:
+    """Bring a new run to where a cut stands; the inverse of `cut_of`, but for the map's tiles."""
+    run.epoch, run.input, run.record = cut.epoch, cut.input, cut.record
+    run.newest_stamp_ns = run.map.newest_updated * NS
+    for robot, buffer in cut.poses.items():
+        run.buffer(robot).load_state(buffer)
+    run.duplicates.load_state(cut.duplicates)
 
 
 class Snapshots:
@@ -120,7 +128,7 @@ class Snapshots:
         if self.ok and asked is not None and time.monotonic() > asked + HANG_SECONDS:
             self._fail(TimeoutError(f"its disk has not answered for {HANG_SECONDS:g} s"))
 
-    def close(self, timeout: float) -> None:
+    def wait(self, timeout: float) -> None:
         """Wait for the snapshot that is being written."""
         if self._thread is not None:
             self._thread.join(timeout)
@@ -140,7 +148,7 @@ class Snapshots:
             time.sleep(READ_SECONDS)
         return True
 
-    def _write(self, cut: Cut, frozen: Frozen, after: int | None, outlived: set[int]) -> None:
+    def _write(self, cut: Cut, frozen: FrozenMap, after: int | None, outlived: set[int]) -> None:
         assert self._store is not None  # noqa: S101 - offer() saw to it
         try:
             if not self._writer.wait_synced(SYNC_SECONDS):
@@ -178,7 +186,7 @@ class Snapshots:
             text = f"the map can't be stored ({self.error}); the log holds all, and it is tried again"
             note(log, logging.ERROR, "snapshot_failed", text, always=True, cause=self.error)
 
-    def _end(self, frozen: Frozen | None) -> None:
+    def _end(self, frozen: FrozenMap | None) -> None:
         self._asked = None
         if frozen is not None:
             with self._view.reading():

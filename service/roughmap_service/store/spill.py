@@ -17,6 +17,7 @@ from roughmap.arrays import I4, I8, Records
 from roughmap.cell import CELL_DTYPE, TILE_CELLS
 from roughmap.tiles.shelf import Shelf, runs_of
 from roughmap.tiles.slots import SLOT_BYTES
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.store.map_db import DamagedStore, StoreError
 from roughmap_service.store.stored_tiles import StoredTiles
 
@@ -28,8 +29,10 @@ STEP = 1024
 """Places by which the tables grow."""
 
 
-class SpillError(Exception):
+class SpillError(ReportedError):
     """A spill file that can't be used, or does not hold what was written; one line."""
+
+    exit_code = 2
 
 
 Write = Callable[[int, Sequence[memoryview], int], int]
@@ -101,11 +104,11 @@ class Spill(Shelf):
         self._number[places] = np.arange(number)
         return places
 
-    def _vacated(self, place: int) -> None:
+    def _recycle(self, place: int) -> None:
         if self._slice[place] >= 0:
             self._left.append(int(self._slice[place]))
         self._slice[place] = NOWHERE
-        super()._vacated(place)
+        super()._recycle(place)
 
     def outlived(self) -> I8:
         """The places of tiles that have changed since they were stored, and are still read as they were then."""

@@ -11,9 +11,9 @@ from roughmap_service.answers.queryables import Answers
 from roughmap_service.engine.sequencer import Sequencer
 from roughmap_service.host.counters import Counters
 from roughmap_service.host.log_lines import note
-from roughmap_service.inputs.queue import Intake
+from roughmap_service.inputs.queue import InputQueue
 from roughmap_service.journal.writer import LogWriter
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.snapshots import Snapshots
 from roughmap_service.watch.readiness import Problem, Sources, running_problems
 
@@ -26,9 +26,9 @@ class RunningParts:
 
     sequencer: Sequencer
     writer: LogWriter
-    intake: Intake
+    queue: InputQueue
     snapshots: Snapshots
-    memory: Memory
+    memory: MemoryLimit
     counters: Counters
     _stalled: bool = False
 
@@ -55,7 +55,7 @@ class RunningParts:
     def end(self, sources: Sources) -> None:
         """Report the shutdown to the pages, and log what was integrated since the start."""
         sources.readiness.end()
-        counts, sequence = self.counters.snapshot(), self.sequencer.state.map.sequence
+        counts, sequence = self.counters.snapshot(), self.sequencer.live.run.map.sequence
         clouds, points = counts.clouds_accepted, counts.points_accepted
         text = f"shutting down; integrated {clouds} clouds with {points} points since the start"
         note(
@@ -75,10 +75,14 @@ def connect_pages(
 
     def figures() -> PartFigures:
         return PartFigures(
-            input_queue_bytes=parts.intake.held, inbox_bytes=parts.sequencer.inbox.size, log_bytes=parts.writer.held,
-            queries_waiting=answers.waiting, snapshot_sequence=parts.snapshots.sequence,
-            snapshot_ok=not parts.snapshots.error, memory_counted=parts.memory.taken,
-        )  # fmt: skip
+            input_queue_bytes=parts.queue.held,
+            inbox_bytes=parts.sequencer.live.run.inbox.size,
+            log_bytes=parts.writer.held,
+            queries_waiting=answers.waiting,
+            snapshot_sequence=parts.snapshots.sequence,
+            snapshot_ok=not parts.snapshots.error,
+            memory_counted=parts.memory.taken,
+        )
 
     store = None if config.store.path is None else Path(config.store.path)
     disk = Disk(Path(config.log.directory), store, parts.memory.spill.path)

@@ -1,15 +1,15 @@
-"""Phase two of an `add`: the tiles of the odd points, and the ordered update of all cells."""
+"""The tiles of odd points, and the kernel of phase two: the ordered update of all cells."""
 
 import numpy as np
 
 from roughmap.arrays import F8, I4, I8, U1, U8, Scalar
 from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT
-from roughmap.integration.update import QUEUE, drain
+from roughmap.integration.cell_update import QUEUE, drain
 from roughmap.intrinsics import prefetch
 from roughmap.jit import inline, kernel
 from roughmap.points.footprint import LEAST_SHARE, POINT, box_of, shares_of
 from roughmap.points.place import BLOCK
-from roughmap.tiles.index import find, row_of, tile_key
+from roughmap.tiles.index import find, find_or_add, tile_key
 
 _MASK = np.int64(TILE_CELLS - 1)
 _SHIFT = np.int64(TILE_SHIFT)
@@ -23,7 +23,7 @@ _CORNER = np.uint64(TILE_SHIFT)
 
 @inline
 def _takes_part(p: Scalar, least: Scalar) -> Scalar:
-    """Whether a cell with share ``p`` of an odd point is written; the same wherever it is asked."""
+    """Whether a cell with share ``p`` of an odd point is written; used by both phases, so that they agree."""
     return (p >= least) & (p > LEAST_SHARE)
 
 
@@ -31,16 +31,16 @@ def _takes_part(p: Scalar, least: Scalar) -> Scalar:
 def collect_odd(
     start: int, stop: int, planes: Scalar, rules: Scalar, found: Scalar, number: int, lines: F8, shares: F8
 ) -> tuple[int, int]:
-    """Find the tiles in which those odd points of rows ``start`` to ``stop`` take part that lie in several.
+    """Find the tiles of those odd points of rows ``start`` to ``stop`` that lie in several tiles.
 
-    Stops early where the table of tiles in ``found`` has no room for those of another point, so that none is cut in
-    two. Returns (row at which it stopped, number of tiles).
+    Stops early, between two points, if the table of tiles in ``found`` has no room for the tiles of another point.
+    Returns (row at which it stopped, number of tiles).
     """
     table, keys, work, _ = found
     model, a, _, window, _, min_share = rules
     w0, v0, w1, v1 = window
     for n in range(start, stop):
-        if planes.odd_home[n] >= 0:
+        if planes.odd_tile[n] >= 0:
             continue
         i0, j0, i1, j1 = box_of(planes.odd_box, n)
         tx0, ty0, tx1, ty1 = i0 >> _SHIFT, j0 >> _SHIFT, i1 >> _SHIFT, j1 >> _SHIFT
@@ -58,8 +58,8 @@ def collect_odd(
                 if touched:
                     key = tile_key(tx, ty)
                     row = find(table, keys, key)
-                    if row < 0:  # only then: a call counts references to arrays, which takes as long as all else
-                        row, number = row_of(table, keys, work, key, number)
+                    if row < 0:  # a call counts references to arrays, which costs as much as the rest
+                        row, number = find_or_add(table, keys, work, key, number)
                     work[row] += 1
     return stop, number
 
@@ -83,9 +83,10 @@ def _enqueue_odd(
     least: Scalar,
     shares: F8,
 ) -> Scalar:
-    """Queue the cells of one tile that a footprint covers; updates that are now in the queue.
+    """Queue the cells of one tile that a footprint covers; return the new length of the queue.
 
-    Every cell is written to the queue and the end moved on by those that take part: no branch to be guessed wrong.
+    Every cell is written to the queue, but the length only grows for those that count: there is no branch to
+    mispredict.
     """
     cell, weight, point = queue
     for j in range(j_low, j_high + 1):
@@ -110,9 +111,9 @@ def _enqueue_odd(
 def _enqueue_plain(
     queue: Scalar, count: Scalar, n: Scalar, where: Scalar, corner: Scalar, bits: U8, row: Scalar, weight: F8
 ) -> Scalar:  # fmt: skip
-    """The same for the 2 x 2 cells from the one at ``where`` on.
+    """Do the same for the 2 x 2 cells of a plain point, of which the first is at ``where``.
 
-    Arrays are never cut to a row in here: each cut would count references, which costs more than the rest.
+    No array is sliced in here: each slice would count references, which costs more than the rest.
     """
     b, k = np.uint64(n) // np.uint64(BLOCK), np.uint64(n) % np.uint64(BLOCK)
     cell, heavy, point = queue
@@ -149,7 +150,7 @@ def _enqueue_plain(
 def _enqueue_point(
     queue: Scalar, count: Scalar, n: Scalar, where: Scalar, corner: Scalar, bits: U8, row: Scalar
 ) -> Scalar:
-    """The same for `point`: one cell, of weight 1."""
+    """Do the same for the model `point`: one cell, of weight 1."""
     cell, heavy, point = queue
     prefetch(where)
     cell[count] = where
@@ -161,7 +162,7 @@ def _enqueue_point(
 
 @inline
 def _widen(oldest: I8, newest: I8, row: Scalar, stamps: I8, first: Scalar, last: Scalar) -> None:
-    """Widen a tile's stamps by those of some points."""
+    """Extend the range of a tile's stamps by those of points ``first`` to ``last``."""
     low = high = stamps[0]
     if len(stamps) > 1:
         low = high = stamps[first]
@@ -176,7 +177,7 @@ def _enqueue_run(
     queue: Scalar, count: Scalar, first: Scalar, last: Scalar, base: Scalar, bits: U8, row: Scalar, planes: Scalar,
     model: Scalar,
 ) -> Scalar:  # fmt: skip
-    """The same for a run of plain points in the tile at ``base``."""
+    """Do the same for a run of plain points in the tile at ``base``."""
     for n in range(first, last):
         corner = np.uint64(planes.corner[n])
         where = base + corner * _BYTES
@@ -210,18 +211,18 @@ def update_tiles(
 ) -> None:
     """Update the cells of the tiles that ``part`` owns, in the order of the points.
 
-    ``starts``, ``ends`` (P,): the rows of the runs that the parts of phase one made; ``rows`` (P, R): for the tiles
-    that each found, their rows here. ``stamps``: one for all points, or one a point. ``bits`` (T, 64): a bit for each
-    changed cell, rows along y. ``oldest``, ``newest`` (T,) of the tiles' points are widened.
+    ``starts``, ``ends`` (P,): the rows of the runs of each part of phase one. ``rows`` (P, R): the rows in the merged
+    table of the tiles that each part found. ``stamps``: (1,) for all points, or (N,). ``bits`` (T, 64) receives a bit
+    for each changed cell, rows along y. ``oldest``, ``newest`` (T,) are extended by the stamps of the points.
     """
     model, a, _, window, _, min_share = rules
     w0, v0, w1, v1 = window
     count = np.uint64(0)
     for found in range(len(starts)):
         for run in range(starts[found], ends[found]):
-            home = np.int64(planes.run_home[run])
+            home = np.int64(planes.run_tile[run])
             odd = -1 - home
-            row = np.int64(planes.odd_home[odd]) if home < 0 else home
+            row = np.int64(planes.odd_tile[odd]) if home < 0 else home
             if row >= 0:
                 row = np.int64(rows[found, row])
                 if owner[row] != part:

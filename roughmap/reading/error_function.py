@@ -1,4 +1,4 @@
-"""The error function over arrays: all that the map needs of the normal distribution (eq. 11)."""
+"""The error function over arrays, for the normal distribution in eq. 11."""
 
 import math
 
@@ -15,7 +15,10 @@ def _erf(values: F8, out: F8) -> None:
 
 
 def erf(values: F8) -> F8:
-    """erf of each value, in the same shape; NaN where it is NaN. The C library's: no cell's bytes depend on it."""
+    """Return erf of each value, in the same shape; NaN for NaN.
+
+    It calls the C library, which is allowed here because no cell's bytes depend on it.
+    """
     out = np.empty(values.shape)
     _erf(np.ascontiguousarray(values, dtype=np.float64).reshape(-1), out.reshape(-1))
     return out

@@ -1,4 +1,4 @@
-"""The update of a cell by a point (eq. 5, 13-16), and the queue of updates that wait."""
+"""The update of a cell by a point (eq. 5, 13-16), and the queue of pending updates."""
 
 import numpy as np
 
@@ -8,10 +8,10 @@ from roughmap.points.footprint import POINT
 from roughmap.tiles.slots import floats, words
 
 QUEUE = 512
-"""Updates that wait before they are done: their cells, asked for meanwhile, fit the first-level cache."""
+"""Length of the queue of pending updates: the cells, prefetched meanwhile, fit the first-level cache."""
 
 RUN = 64
-"""Points that are queued together, at most."""
+"""Most points that are queued together."""
 
 _COUNT = np.uint64(0xFFFFFFFF)
 _SHIFT = np.uint64(32)
@@ -19,7 +19,7 @@ _SHIFT = np.uint64(32)
 
 @inline
 def update_cell(head_of: U8, values: F8, h: Scalar, w: Scalar, q: Scalar, second: Scalar, min_distance: Scalar) -> None:
-    """Take up height ``h`` with weight ``w`` in the cell of which ``head_of`` and ``values`` are the eight words.
+    """Update a cell, given as its eight words ``head_of`` and ``values``, with height ``h`` and weight ``w``.
 
     ``q`` = w / p of the point; ``second`` = floor(stamp / 1e9). With W the weight before:
     W' = W + w; g = w / W'; delta = h - mean; mean' = mean + delta g (eq. 5, 13); m2' = m2 + W g delta^2;
@@ -46,7 +46,7 @@ def update_cell(head_of: U8, values: F8, h: Scalar, w: Scalar, q: Scalar, second
         high = max(high, h)
         values[4] += (W * g) * (delta * delta)
     d = max(abs(h - mean), min_distance)
-    # A count of 2^32 - 1 stays: it would begin anew as a cell never hit.
+    # The count stops at 2^32 - 1: wrapping to 0 would make the cell unknown.
     count = count if count == _COUNT else count + np.uint64(1)
     head_of[0] = count | (updated << _SHIFT)
     values[1] = total
@@ -59,7 +59,7 @@ def update_cell(head_of: U8, values: F8, h: Scalar, w: Scalar, q: Scalar, second
 
 @inline
 def drain(queue: Scalar, count: Scalar, z: F8, q: F8, stamps: I8, model: Scalar, min_distance: Scalar) -> None:
-    """Do the first ``count`` updates of a queue, in order."""
+    """Apply the first ``count`` updates of a queue, in order."""
     cell, weight, point = queue
     each = np.uint64(1) if len(stamps) > 1 else np.uint64(0)
     for c in range(count):

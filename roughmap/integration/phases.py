@@ -1,6 +1,9 @@
-"""From bounded points to changed tiles: collect and bring into memory; make room, update in order, mark."""
+"""The two phases of an `add`.
 
-from collections.abc import Callable
+Phase one computes the geometry of the points, finds the tiles that they touch and brings them into memory. Phase two
+inserts new tiles, updates the cells in the order of the points, and marks what changed. Only phase two changes the map.
+"""
+
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -8,28 +11,28 @@ import numpy as np
 
 from roughmap.arrays import I4, I8, U1, U8
 from roughmap.cell import REASON_NAMES, TILE_CELLS, TooManyTiles
-from roughmap.integration.blocks import State
-from roughmap.integration.fused import collect_odd, update_tiles
+from roughmap.integration.geometry import Geometry, PointInput
+from roughmap.integration.tile_update import collect_odd, update_tiles
 from roughmap.integration.workspace import Planes, ThreadScratch, Workspace, blocks_of
 from roughmap.jit import kernel
 from roughmap.points.place import BLOCK
-from roughmap.settings import Rules, Settings
+from roughmap.settings import MapSettings, Rules
 from roughmap.tiles.changes import mark_changed
-from roughmap.tiles.index import find, row_of
-from roughmap.tiles.table import Hold, TileTable
+from roughmap.tiles.index import find, find_or_add
+from roughmap.tiles.table import ReaderLock, TileTable
 
 _DENSE_POINTS = 128
-"""A tile that so many points of one scan touch will soon be known for the most part."""
+"""A new tile with at least this many points of one scan will soon be mostly known."""
 
 _NEVER_NS = np.iinfo(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class AddReport:
-    """What became of a call's points.
+    """The result of adding points.
 
-    ``accepted``: how many were used. ``rejected``: {reason: number} of the others, without zeros. ``tiles``: (T, 2)
-    int32, the level-0 tiles of which a cell changed, ascending by (x, y).
+    ``accepted``: number of points used. ``rejected``: {reason: number of points}, without zeros. ``tiles``: (T, 2)
+    int32, the level-0 tiles with a changed cell, ascending by (x, y).
     """
 
     accepted: int
@@ -38,12 +41,12 @@ class AddReport:
 
 
 class Work(NamedTuple):
-    """What is left to do when a call's points are bounded and their tiles are found, in the workspace's rows of tiles.
+    """What phase one leaves for phase two.
 
-    ``planes``, ``edges`` (P + 1,), ``stamps``: the points, their range a thread, one stamp or one a point. ``rows``
-    (P, R): see `_merged`. ``tx``, ``ty`` (T,): the tiles; ``entries`` (T,) of the table, -1 for those that are ``new``.
-    ``changed`` (T, 2): the tiles, ascending. ``owner`` (T,): the thread of each; ``bits`` (T, 64): room for their
-    changed cells.
+    ``planes``, ``stamps``: the points and their stamps, (1,) or (N,). ``edges`` (P + 1,): the range of points of each
+    part. ``rows`` (P, R): see `_merge_parts`. For each tile of the merged table, ``tx``, ``ty`` (T,): its numbers;
+    ``entries`` (T,): its entry in the map's table, or -1; ``owner`` (T,): the part that updates it; ``bits`` (T, 64):
+    room for its changed cells. ``new``: the rows without an entry. ``changed`` (T, 2): the tiles, ascending.
     """
 
     planes: Planes
@@ -61,15 +64,16 @@ class Work(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A call's points, placed and counted as in `AddReport`; the map is as it was.
+    """The result of phase one. The map has not changed yet.
 
-    ``work`` is for `RoughMap.integrate`; None: there is nothing to do. It is of the map as it was at ``state``.
+    ``accepted``, ``rejected``: as in `AddReport`. ``work``: the input of phase two, or None if there is nothing to do.
+    ``version``: the version of the map for which it was prepared.
     """
 
     accepted: int
     rejected: dict[str, int]
     work: Work | None = None
-    state: tuple[int, ...] = ()
+    version: tuple[int, ...] = ()
 
 
 @kernel
@@ -80,17 +84,17 @@ def _find_all(table: I4, keys: U8, wanted: U8, entries: I4) -> None:
 
 @kernel
 def _merge(table: I4, keys: U8, work: I8, number: int, found: U8, points: I8, rows: I4) -> int:
-    """Add a part's tiles to those of the parts before it; ``rows``: where each is. The number of tiles."""
+    """Add the tiles of a part to the merged ones; set ``rows`` to their rows there and return the number of tiles."""
     for n in range(len(found)):
-        row, number = row_of(table, keys, work, found[n], number)
+        row, number = find_or_add(table, keys, work, found[n], number)
         work[row] += points[n]
         rows[n] = row
     return number
 
 
 @kernel
-def _share_out(order: I8, work: I8, parts: int, owner: U1) -> None:
-    """Give each tile, the busiest first, to the part that has the least to do."""
+def _assign_owners(order: I8, work: I8, parts: int, owner: U1) -> None:
+    """Give each tile, the busiest first, to the part with the least work."""
     load = np.zeros(parts, np.int64)
     for n in order:
         least = np.argmin(load)
@@ -98,12 +102,8 @@ def _share_out(order: I8, work: I8, parts: int, owner: U1) -> None:
         load[least] += work[n]
 
 
-Geometry = Callable[[int, int, ThreadScratch, State], tuple[int, State]]
-"""Phase one over a range of points: (start, stop, scratch, state before) to (where it stopped, state there)."""
-
-
 def find_tiles(start: int, stop: int, planes: Planes, rules: Rules, scratch: ThreadScratch, geometry: Geometry) -> None:
-    """Phase one for a range of points: their ``geometry``, and the tiles in which they take part, in the scratch."""
+    """Compute the ``geometry`` of a range of points and collect their tiles in ``scratch``."""
     tiles = scratch.tiles
     tiles.clear()
     at, state = start, (0, start, start)
@@ -121,8 +121,8 @@ def find_tiles(start: int, stop: int, planes: Planes, rules: Rules, scratch: Thr
             tiles.double()
 
 
-def _merged(space: Workspace, parts: int) -> I4:
-    """Bring all parts' tiles together in the first one's; (P, R): the rows there of the tiles that each part found."""
+def _merge_parts(space: Workspace, parts: int) -> I4:
+    """Merge the tiles of all parts into the first part's table; return the (P, R) rows there of each part's tiles."""
     first, *others = [scratch.tiles for scratch in space.scratch[:parts]]
     rows = np.empty((parts, max(first.number, *(other.number for other in others), 1)), np.int32)
     rows[0, : first.number] = np.arange(first.number)
@@ -134,23 +134,23 @@ def _merged(space: Workspace, parts: int) -> I4:
     return rows
 
 
-def prepare(
-    number: int,
-    planes: Planes,
-    stamps: I8,
-    geometry: Geometry,
-    state: tuple[int, ...],
+def phase_one(
+    points: PointInput,
+    version: tuple[int, ...],
     table: TileTable,
-    settings: Settings,
+    settings: MapSettings,
     space: Workspace,
     max_new_tiles: int | None,
     max_tiles: int | None,
-    hold: Hold,
+    reader_lock: ReaderLock,
 ) -> Prepared:
-    """Phase one of ``number`` points: their ``geometry``, and the tiles that they touch, in memory and shared out.
+    """Compute the geometry of the points, find the tiles that they touch, and bring these into memory.
 
-    `TooManyTiles` before any is brought back; for ``hold``, and what may be raised then, see `TileTable.bring_back`.
+    `TooManyTiles` comes before any tile is brought back; for ``reader_lock`` and other errors see
+    `TileTable.bring_back`.
     """
+    array, planes, stamps, geometry = points
+    number = len(array)
     parts = space.parts(number)
     edges = np.array([min(blocks_of(number) * n // parts * BLOCK, number) for n in range(parts + 1)])
 
@@ -164,8 +164,8 @@ def prepare(
     if not accepted:
         return Prepared(0, rejected)
     work = _work(planes, edges, stamps, table, space, max_new_tiles, max_tiles)
-    table.bring_back(work.entries[work.entries >= 0], hold)
-    return Prepared(accepted, rejected, work, (*state, space.uses))
+    table.bring_back(work.entries[work.entries >= 0], reader_lock)
+    return Prepared(accepted, rejected, work, (*version, space.uses))
 
 
 def _work(
@@ -177,9 +177,9 @@ def _work(
     max_new_tiles: int | None,
     max_tiles: int | None,
 ) -> Work:
-    """What there is to do. ``edges``: the ranges of points whose tiles the first P threads' scratch holds."""
+    """Merge the tiles of the parts, look them up and assign them. `TooManyTiles` if too many are new."""
     parts = len(edges) - 1
-    rows = _merged(space, parts)
+    rows = _merge_parts(space, parts)
     tiles = space.scratch[0].tiles
     number = tiles.number
     keys, work = tiles.keys[:number], tiles.work[:number]
@@ -196,21 +196,21 @@ def _work(
     ty = keys.astype(np.uint32).view(np.int32)
     order = np.lexsort((ty, tx))
     owner = np.zeros(number, np.uint8)
-    _share_out(np.argsort(-work, kind="stable"), work, parts, owner)
+    _assign_owners(np.argsort(-work, kind="stable"), work, parts, owner)
     bits = np.zeros((number, TILE_CELLS), np.uint64)
     changed = np.stack([tx[order], ty[order]], axis=1)
     return Work(planes, edges, stamps, rows, tx, ty, entries, new, changed, owner, bits)
 
 
-def integrate(work: Work, sequence: int, table: TileTable, settings: Settings, space: Workspace) -> int:
-    """Phase two: take up the points as ``sequence``; the newest stamp in their tiles (0 if none).
+def phase_two(work: Work, sequence: int, table: TileTable, settings: MapSettings, space: Workspace) -> int:
+    """Update the tiles with the points, as ``sequence``; return the newest stamp in these tiles (0 if none), in ns.
 
-    MemoryError comes before anything is changed.
+    A MemoryError comes before anything has changed.
     """
     tx, ty, entries, new = work.tx, work.ty, work.entries.copy(), work.new
     tiles = space.scratch[0].tiles
-    # All memory is taken before the first cell is written: what fails then has changed nothing.
-    table.open(entries[entries >= 0])
+    # All memory is allocated before the first cell is written, so that a failure changes nothing.
+    table.make_writable(entries[entries >= 0])
     entries[new] = table.insert(tx[new], ty[new], dense=tiles.work[new] >= _DENSE_POINTS)
     table.used[entries] = sequence
 

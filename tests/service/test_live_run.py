@@ -2,89 +2,98 @@
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from net import Gathered, wait_for
-from service_tools import T0, WAIT_S, Run, cloud, config, odometry
+from service_tools import T0, WAIT_S, LoggedRun, cloud, config, odometry
 from test_log_disk import Disk
 
-from roughmap_schemas import IntegrationEvent, decode_event
+from roughmap_schemas import Event, IntegrationEvent, decode_event
 from roughmap_schemas.kinds import Kind
-from roughmap_service.engine.decider import Decider
+from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.sequencer import Intervals, Sequencer
 from roughmap_service.host.counters import Counters
-from roughmap_service.inputs.queue import TURN_MESSAGES, InputMessage, Intake
+from roughmap_service.inputs.queue import TURN_MESSAGES, InputMessage, InputQueue
 from roughmap_service.journal import writer as log_writer
 from roughmap_service.journal.items import Sync
-from roughmap_service.store.memory_limit import Memory
+from roughmap_service.journal.recorder import Recorder
+from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.spill import Spill
 
 
+class Spied(Recorder):
+    """Tells when an event is queued to the log, and queues nothing."""
+
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self._tell = tell
+
+    def event(self, event: Event, now_ns: int) -> None:
+        self._tell()
+
+
 @contextmanager
-def memory(folder: Path) -> Iterator[Memory]:
+def memory(folder: Path) -> Iterator[MemoryLimit]:
     """As much as one likes."""
     with Spill(folder / "tiles.spill", 1 << 30) as spill:
-        yield Memory(1 << 40, spill)
+        yield MemoryLimit(1 << 40, spill)
 
 
 def test_an_event_is_on_its_way_to_the_log_before_anyone_can_see_what_it_did(tmp_path: Path) -> None:
     """It is queued while the map is still held, and published when it no longer is."""
     told: list[tuple[str, bool]] = []
-    with Run(tmp_path / "log") as run, memory(tmp_path) as enough:
+    with LoggedRun(tmp_path / "log") as run, memory(tmp_path) as enough:
         run.put(Kind.POINTS, cloud(1.0, frame="map"))
-        decider = Decider(
-            run.state, run.view, run.inbox, run.writer, Counters(), enough,
-            lambda _: told.append(("log", run.view._lock.locked())),
+        held = Spied(lambda: told.append(("log", run.view._lock.locked())))
+        live = LiveRun(
+            run.run, run.view, run.writer, held, Counters(), enough,
             lambda _: told.append(("publish", run.view._lock.locked())),
         )  # fmt: skip
-        assert decider.decide()
+        assert live.decide(0.0)
     assert told == [("log", True), ("publish", False)]
 
 
 def test_nothing_is_decided_while_the_log_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What could be placed and what only has to end wait for the log, and come out as they would have."""
     monkeypatch.setattr(log_writer, "RETRY_SECONDS", 0.001)
-    disk, events = Disk(), []
-    with Run(tmp_path / "log", open_file=disk.open) as run, memory(tmp_path) as enough:
+    disk = Disk()
+    with LoggedRun(tmp_path / "log", open_file=disk.open) as run:
         run.put(Kind.POINTS, cloud(1.0, frame="map"))
         run.put(Kind.POINTS, cloud(2.0), "blind")
         assert run.writer.wait_synced(WAIT_S)
-        decider = Decider(
-            run.state, run.view, run.inbox, run.writer, Counters(), enough, run.log_event,
-            lambda event: events.append(decode_event(event)),
-        )  # fmt: skip
-        decider.heard = 1e9  # long past every wait
+        live, late = run.live, 1e9  # long past every wait
         disk.broken = True
         failed = threading.Event()
         run.writer.put(Sync(lambda: None, lambda _: failed.set()))
         wait_for(failed, "the writer to notice")
-        assert not decider.advance()
-        assert (events, run.state.map.sequence, len(run.state.clouds)) == ([], 0, 2)
+        assert not live.advance(late)
+        assert (run.published, run.run.map.sequence, len(run.run.clouds)) == ([], 0, 2)
         disk.broken = False
         assert run.writer.wait_room(WAIT_S)
-        while decider.advance():
+        while live.advance(late):
             pass
+    events = [decode_event(event) for event in run.published]
     assert [(event.outcome, event.sequence) for event in events] == [("integrated", 1), ("no_pose", 1)]
 
 
 def test_no_wait_ends_before_all_that_came_in_it_is_taken_up(tmp_path: Path) -> None:
     """The pose that a cloud needs came with it, behind more poses than are taken at a time."""
     decided: Gathered[IntegrationEvent] = Gathered()
-    intake, counters = Intake(1 << 20, Counters()), Counters()
+    intake, counters = InputQueue(1 << 20, Counters()), Counters()
     patience = 1e-4  # which is over before the first turn is
-    with Run(tmp_path / "log", config(input={"max_wait": patience})) as run, memory(tmp_path) as enough:
+    with LoggedRun(tmp_path / "log", config(input={"max_wait": patience})) as run, memory(tmp_path) as enough:
 
         def hear(payload: bytes) -> None:
             event = decode_event(payload)
             if isinstance(event, IntegrationEvent):
                 decided(event)
 
+        live = LiveRun(run.run, run.view, run.writer, run.recorder, counters, enough, hear)
         sequencer = Sequencer(
-            run.state, run.view, run.writer, intake, counters, enough, run.duplicates, run.keys,
-            Intervals(3600.0, 3600.0), publish_event=hear, take_snapshot=lambda: None, before_reset=lambda _: None,
+            live, intake, run.writer, enough, Intervals(3600.0, 3600.0), take_snapshot=lambda: None,
+            before_reset=lambda _: None,
         )  # fmt: skip
         arrival = time.monotonic()
         messages = [(Kind.POINTS, cloud(10.0))]
@@ -92,7 +101,7 @@ def test_no_wait_ends_before_all_that_came_in_it_is_taken_up(tmp_path: Path) -> 
         messages += [(Kind.ODOMETRY, odometry(t)) for t in (9.8, 10.2)]
         for kind, payload in messages:
             intake.put(InputMessage(kind, "rover", payload, T0, arrival))
-        sequencer.start([])
+        sequencer.start()
         (event,) = decided.wait(bool, "the decision")
         assert event.outcome == "integrated"
         assert sequencer.stop(WAIT_S)

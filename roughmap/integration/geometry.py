@@ -1,0 +1,82 @@
+"""The points of a call, checked and made ready for the kernels of phase one."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from roughmap.arrays import I8
+from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS, PointReason
+from roughmap.integration.blocks import BlockState, point_blocks, scan_blocks
+from roughmap.integration.workspace import Planes, ThreadScratch, Workspace
+from roughmap.points.checks import checked_covariances, checked_integers, checked_points, checked_stamps
+from roughmap.points.place import pose_at
+from roughmap.points.scan import Limits, Noise, Scan, scan_rules
+from roughmap.points.strided import source_of
+from roughmap.points.trajectory import Trajectory
+from roughmap.settings import MapSettings
+
+Geometry = Callable[[int, int, ThreadScratch, BlockState], tuple[int, BlockState]]
+"""Phase one over a range of points: (start, stop, scratch, state before) to (where it stopped, state there)."""
+
+
+class PointInput(NamedTuple):
+    """A call's points: the array itself, their planes, their stamps ((1,) for all, or (N,)), and their geometry."""
+
+    points: npt.NDArray[np.floating]
+    """Kept here because ``geometry`` reads the array by address."""
+    planes: Planes
+    stamps: I8
+    geometry: Geometry
+
+
+def placed_points(
+    points: npt.ArrayLike,
+    covariance: npt.ArrayLike | None,
+    stamp_ns: npt.ArrayLike,
+    offsets_ns: npt.ArrayLike | None,
+    settings: MapSettings,
+    space: Workspace,
+) -> PointInput:
+    """Check points that lie in the map frame; see `RoughMap.add`. A point whose offset is out of range is rejected."""
+    checked = checked_points(points, "points")
+    number = len(checked)
+    matrices = checked_covariances(covariance, number, settings.error_model)
+    stamps = checked_stamps(stamp_ns, number)
+    late = None
+    if offsets_ns is not None:
+        offsets = checked_integers(offsets_ns, (number,), "offsets_ns")
+        late = (offsets < 0) | (offsets > OFFSET_LIMIT_NS)
+        stamps = stamps + np.where(late, 0, offsets)
+        late |= stamps >= STAMP_LIMIT_NS
+    planes = space.planes(number)
+    if late is not None:
+        planes.reason[:number][late & np.isfinite(checked).all(axis=1)] = PointReason.TIME
+    source, rules = source_of(checked), settings.rules
+
+    def bound(start: int, stop: int, scratch: ThreadScratch, state: BlockState) -> tuple[int, BlockState]:
+        return point_blocks(start, stop, planes, scratch.block, source, matrices, rules, scratch.tiles.arrays, state)
+
+    return PointInput(checked, planes, stamps, bound)
+
+
+def scan_points(
+    scan: Scan, trajectory: Trajectory, noise: Noise, limits: Limits, settings: MapSettings, space: Workspace
+) -> PointInput:
+    """Take the points of a scan, which phase one places in the map frame; see `RoughMap.add_scan`."""
+    number = len(scan.points)
+    offsets = scan.times
+    stamps = scan.stamp_ns + (np.zeros(1, np.int64) if scan.offsets_ns is None else offsets)
+    path, gap, returns = trajectory.arrays, limits.max_gap_ns, scan_rules(scan, noise, limits)
+    posed, pose = pose_at(path, gap, scan.stamp_ns)
+    planes = space.planes(number)
+    source, rules = source_of(scan.points), settings.rules
+
+    def place(start: int, stop: int, scratch: ThreadScratch, state: BlockState) -> tuple[int, BlockState]:
+        return scan_blocks(
+            start, stop, planes, scratch.block, source, offsets, scan.offsets_ns is not None, scan.stamp_ns, path,
+            gap, posed, pose, returns, rules, scratch.tiles.arrays, state,
+        )  # fmt: skip
+
+    return PointInput(scan.points, planes, stamps, place)

@@ -1,0 +1,217 @@
+"""A run that goes on: messages are logged before they count, and events before anyone can see what they did."""
+
+import logging
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+
+from roughmap import RoughMap
+from roughmap_schemas import (
+    CloudReason,
+    Event,
+    IntegrationEvent,
+    MessageFault,
+    Odometry,
+    PoseReason,
+    Receipt,
+    Refusal,
+    ResetEvent,
+    Transform,
+    encode_event,
+)
+from roughmap_service.host.counters import Counters
+from roughmap_service.host.log_lines import note
+from roughmap_service.inputs.admission import admit, refuse
+from roughmap_service.inputs.queue import InputMessage
+from roughmap_service.journal.items import Sync
+from roughmap_service.journal.recorder import Recorder
+from roughmap_service.journal.writer import LogWriter
+from roughmap_service.run.decoding import Content
+from roughmap_service.run.inbox import Arrival, Proposal
+from roughmap_service.run.run import Run, Taken
+from roughmap_service.run.view import View
+from roughmap_service.store.memory_limit import MemoryLimit
+
+logger = logging.getLogger(__name__)
+
+
+class LiveRun:
+    """Connects a `Run` to the log, to readers and to the counters; for the sequencer's thread alone."""
+
+    def __init__(
+        self,
+        run: Run,
+        view: View,
+        writer: LogWriter,
+        recorder: Recorder,
+        counters: Counters,
+        memory: MemoryLimit,
+        publish_event: Callable[[bytes], None],
+    ) -> None:
+        self.run = run
+        self.view = view
+        self._writer = writer
+        self._recorder = recorder
+        self._counters = counters
+        self._memory = memory
+        self._publish_event = publish_event
+        self._robots = set(run.poses)
+        self._checkpoint_sequence = 0
+
+    def accept(self, message: InputMessage, now: float) -> int | None:
+        """Check a message, log it and take it up; returns its input number.
+
+        A message that is refused (None) or was logged before is counted, and answered if it was ingested. ``now`` as
+        for `decide`.
+        """
+        run = self.run
+        try:
+            first = run.duplicates.find(message.identity)
+            if first is not None:
+                self._acknowledge(message, first, duplicate=True)
+                return first
+            if not self._writer.ok:
+                raise log_fault(self._writer.error)
+            content = admit(message, run.settings, self._robots, run.inbox)
+        except MessageFault as fault:
+            self.refuse(message, fault)
+            return None
+        if isinstance(content, Odometry):
+            self._decide_before(message.robot, content.stamp_ns, now)
+        self._recorder.input(
+            message.kind, message.robot, message.payload, message.received_ns, content.stamp_ns, run.input + 1
+        )
+        arrival = Arrival(message.arrival, promised=message.reply is not None)
+        taken = run.take(message.robot, content, message.identity, arrival)
+        self._notice(message.robot, content, taken)
+        self._acknowledge(message, taken.input, duplicate=False)
+        return taken.input
+
+    def refuse(self, message: InputMessage, fault: MessageFault) -> None:
+        """Count a message that is not logged, and answer it if it was ingested."""
+        refuse(self._counters, message.robot, fault)
+        if message.reply is not None:
+            message.reply.refuse(fault)
+
+    def advance(self, now: float) -> bool:
+        """Decide at most one cloud; before it, end all clouds that are due to end, so that they don't pile up."""
+        while self.run.inbox.ended and self.decide(now) is not None:
+            pass
+        return self.decide(now) is not None
+
+    def decide(self, now: float) -> IntegrationEvent | None:
+        """Decide at most one cloud; none while the log can't be written.
+
+        ``now`` (monotonic s): all messages that arrived before it are taken up, so no cloud ends for want of poses that
+        only wait behind it.
+        """
+        if not self._writer.wait_room(0.0):
+            return None
+        proposal = self.run.decide(now)
+        if proposal is None:
+            return None
+        self._memory.relieve(self.view.reading)  # before the map is held: it may write to the disk
+        begun = time.monotonic()
+        event = self._integrate(proposal)
+        seconds, arrival = time.monotonic() - begun, proposal.cloud.arrival
+        rejected = {str(reason): n for reason, n in event.rejected.items()}
+        came = None if arrival.resumed else arrival.at
+        self._counters.cloud(str(event.outcome), event.accepted, rejected, came, seconds)
+        self._publish_event(encode_event(event))
+        return event
+
+    def checkpoint(self, *, last: bool = False) -> None:
+        """Log the map's digest if the map changed since the last checkpoint.
+
+        The ``last`` one of a map that stayed empty is logged too, so that its log can be compared.
+        """
+        unchanged = self.run.map.sequence == self._checkpoint_sequence and not (last and not self._checkpoint_sequence)
+        if unchanged or not self._writer.ok:
+            return
+        event = self.run.checkpoint()
+        self._checkpoint_sequence = event.sequence
+        self._log(event)
+        self._publish_event(encode_event(event))
+
+    def log_reset(self) -> ResetEvent:
+        """Log a reset that `empty` is to do."""
+        event = self.run.next_reset()
+        self._log(event)
+        return event
+
+    def empty(self, event: ResetEvent, before: Callable[[RoughMap], None], *, publish: bool) -> None:
+        """Do a logged reset; ``before`` sees the map as it was."""
+        with self.view.change() as rough_map:
+            before(rough_map)
+            self.run.reset()
+            self.view.epoch = self.run.epoch
+        if publish:
+            self._publish_event(encode_event(event))
+
+    def _decide_before(self, robot: str, stamp_ns: int, now: float) -> None:
+        """Decide clouds that a pose of this stamp would make late though they have their poses and only wait for their
+        turn, so that a recording can be fed faster than it was made. It must come before the pose is logged: a replay
+        forgets old poses at the same place."""
+        horizon = stamp_ns - self.run.settings.history_ns
+        while self.run.inbox.holds_before(robot, horizon):
+            if self.decide(now) is None:
+                return
+
+    def _integrate(self, proposal: Proposal) -> IntegrationEvent:
+        """Apply a proposal and log the event.
+
+        Readers wait only for the change itself: what it needs from the disk is in memory by then. Without memory for it
+        a cloud ends as `overload`: the map is as before, and no replay places it, even one that has the memory.
+        """
+        with ExitStack() as held:
+            try:
+                change = self.run.place(proposal, self.view.reading, no_new_tiles=self._memory.full)
+                held.enter_context(self.view.change())
+                event = change()
+            except MemoryError:
+                event = self.run.place(replace(proposal, outcome=CloudReason.OVERLOAD))()
+            self._log(event)
+        if event.outcome == CloudReason.OVERLOAD != proposal.outcome:
+            logger.error("input %d: not enough memory to place its cloud", event.input)
+        return event
+
+    def _log(self, event: Event) -> None:
+        self.run.record += 1
+        self._recorder.event(event, time.time_ns())
+
+    def _notice(self, robot: str, content: Content, taken: Taken) -> None:
+        """Count what became of a pose, and log what an operator should see."""
+        if robot not in self._robots:
+            self._robots.add(robot)
+            note(logger, logging.INFO, "robot", f"robot {robot}: first message", robot=robot)
+        if isinstance(content, Odometry):
+            self._counters.pose(taken.refused)
+        elif taken.refused is not None:
+            self._counters.pose(PoseReason.POSE_FRAME)
+        if taken.clock_reset:
+            text = f"robot {robot}: its clock was set back; its pose buffer was cleared"
+            note(logger, logging.WARNING, "clock_reset", text, robot=robot)
+        if taken.jumped and isinstance(content, Transform):
+            self._counters.jump(robot)
+            text = (
+                f"robot {robot}: its transform {content.parent_frame_id} -> {content.child_frame_id} jumped; "
+                "ground that is already mapped does not move"
+            )
+            note(logger, logging.WARNING, "jump", text, robot=robot, child_frame_id=content.child_frame_id)
+
+    def _acknowledge(self, message: InputMessage, number: int, *, duplicate: bool) -> None:
+        """Answer an ingested message once the log is on the disk through it."""
+        if message.reply is None:
+            if duplicate:
+                self._counters.refuse(Refusal.DUPLICATE)
+            return
+        receipt = Receipt(input=number, epoch=self.run.epoch, durable=True, duplicate=duplicate)
+        reply = message.reply
+        kept = "; the message is queued for the log: send the same bytes again for its receipt"
+        self._writer.put(Sync(lambda: reply.receipt(receipt), lambda error: reply.refuse(log_fault(error, kept))))
+
+
+def log_fault(error: str, more: str = "") -> MessageFault:
+    """The refusal of a message while the log can't be written."""
+    return MessageFault(Refusal.LOG_UNAVAILABLE, f"the log can't be written: {error}{more}")

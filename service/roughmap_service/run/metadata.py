@@ -1,0 +1,22 @@
+"""What a log file says at its beginning about the run that it continues."""
+
+from importlib.metadata import version
+
+from roughmap_schemas import Config, RunMetadata
+from roughmap_service.run.run import Run
+
+
+def file_metadata(run_id: str, run: Run, config: Config, *, epoch: int, index: int, created_ns: int) -> RunMetadata:
+    """The metadata of the log file ``index``, in which ``run`` goes on under ``config``."""
+    return RunMetadata(
+        run=run_id,
+        created_ns=created_ns,
+        epoch=epoch,
+        index=index,
+        first_input=run.input + 1,
+        first_record=run.record + 1,
+        base_sequence=run.map.sequence,
+        base_digest=run.map.digest(),
+        version=version("roughmap"),
+        configuration=config.public_dict(),
+    )

@@ -1,0 +1,64 @@
+"""A cloud's points on their way into the map: where they are in time, and where in space."""
+
+from collections.abc import Sequence
+from contextlib import nullcontext
+
+from roughmap import Prepared, RoughMap, Scan
+from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS
+from roughmap.tiles.table import ReaderLock
+from roughmap_schemas import Cloud, PointReason
+from roughmap_service.run.poses import Pose, trajectory
+from roughmap_service.run.settings import Settings
+
+
+def place_cloud(
+    rough_map: RoughMap,
+    robot: str,
+    cloud: Cloud,
+    poses: Sequence[Pose],
+    settings: Settings,
+    *,
+    no_new_tiles: bool = False,
+    reader_lock: ReaderLock = nullcontext,
+) -> Prepared:
+    """Place a cloud's points (eq. 1) and bring the tiles they touch into memory; the map does not change yet.
+
+    Raises TooManyTiles if the cloud needs more new tiles than it may have (none with ``no_new_tiles``), ValueError if
+    ``poses`` make no trajectory. ``reader_lock`` as for `RoughMap.prepare_points`.
+    """
+    most_new, most = 0 if no_new_tiles else settings.max_new_tiles, settings.max_tiles
+    if cloud.frame_id == settings.frame_id:  # placed already: no pose, no sensor limits, one covariance for all points
+        return rough_map.prepare_points(
+            cloud.points, settings.placed_covariance, cloud.stamp_ns, offsets_ns=cloud.offsets_ns,
+            max_new_tiles=most_new, max_tiles=most, reader_lock=reader_lock,
+        )  # fmt: skip
+    sensor = settings.sensor(robot, cloud.frame_id)
+    if sensor is None:  # it waited over a restart, and the new configuration does not have its sensor
+        return Prepared(0, {PointReason.NO_POSE: len(cloud.points)} if len(cloud.points) else {})
+    scan = Scan(
+        cloud.points,
+        cloud.stamp_ns,
+        offsets_ns=cloud.offsets_ns,
+        translation=sensor.translation,
+        rotation=sensor.rotation,
+    )
+    path = trajectory(poses, settings.pose_covariance)
+    return rough_map.prepare_scan(
+        scan, path, sensor.noise, sensor.limits, max_new_tiles=most_new, max_tiles=most, reader_lock=reader_lock
+    )
+
+
+def span(cloud: Cloud) -> tuple[int, int]:
+    """First and last time of a cloud's points in ns.
+
+    Points whose own time is out of range don't count. The cloud's stamp if none is left.
+    """
+    if cloud.offsets_ns is None or not len(cloud.offsets_ns):
+        return cloud.stamp_ns, cloud.stamp_ns
+    offsets = cloud.offsets_ns
+    last = min(OFFSET_LIMIT_NS, STAMP_LIMIT_NS - 1 - cloud.stamp_ns)
+    if int(offsets.min()) < 0 or int(offsets.max()) > last:
+        offsets = offsets[(offsets >= 0) & (offsets <= last)]
+        if not len(offsets):
+            return cloud.stamp_ns, cloud.stamp_ns
+    return cloud.stamp_ns + int(offsets.min()), cloud.stamp_ns + int(offsets.max())
