@@ -140,7 +140,9 @@ def test_an_overload_is_told_everywhere_and_so_is_its_end(
                 if feed.settle().health == "overloaded":
                     break
             assert run(["health", "--set", f"http.listen={listen}"]) == 0, "it works, as well as it can"
-            assert capsys.readouterr().out.startswith("site: overloaded: more comes in than can be integrated")
+            assert capsys.readouterr().out.startswith(
+                "site: overloaded: input arrives faster than it can be integrated"
+            )
             with pytest.raises(urllib.error.HTTPError) as refused:
                 urllib.request.urlopen(f"http://{listen}/readyz", timeout=30)
             refused.value.close()

@@ -15,11 +15,11 @@ from roughmap_schemas.config_load import LoadedConfig
 from roughmap_service.cli.options import Failure, config_options, json_option, load, reachable
 from roughmap_service.host.log_lines import printable
 from roughmap_service.http.token import HttpError, token_of
-from roughmap_service.watch.readiness import HINDERS_NOTHING, Problem
+from roughmap_service.watch.readiness import NOT_BLOCKING, Problem
 
 TIMEOUT_S = 3.0
 
-WORKS = {str(problem) for problem in (Problem.OVERLOADED, *HINDERS_NOTHING)}
+WORKS = {str(problem) for problem in (Problem.OVERLOADED, *NOT_BLOCKING)}
 """Problems with which a service still works. A failed check may restart the service, which would not help here."""
 
 MAX_ANSWER = 1 << 16
