@@ -19,6 +19,7 @@ CODES = {
     "CloudFileFault": 2,
     "ConfigFault": 2,
     "ContractError": 1,
+    "ContractMismatch": 1,
     "DamagedLog": 2,
     "DamagedStore": 2,
     "Fault": 1,

@@ -143,7 +143,7 @@ def test_a_service_with_bad_certificates_starts_nowhere(
         settings["zenoh"]["authority"] = str(certificates.good / "authority.pem")
         with Service(tmp_path / name, **settings) as service:
             assert service.finished(60) == 1
-            assert f"can't be opened on {router} " in service.err[-1]
+            assert f"can't open zenoh on {router} " in service.err[-1]
             assert "does it trust the certificate" in service.err[-1]
 
 
