@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from net import WAIT_S
 from processes import LEVEL, T0, Service, connected, read_log, running
 
