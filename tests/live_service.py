@@ -8,7 +8,7 @@ import zenoh
 from net import WAIT_S, Gathered, peer_config
 
 from roughmap_schemas import Event, IntegrationEvent, decode_event
-from roughmap_service.cli.demo.parts import ServiceProcess
+from roughmap_service.cli.demo.processes import ServiceProcess
 
 
 @contextmanager

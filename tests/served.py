@@ -15,12 +15,12 @@ from roughmap import RoughMap
 from roughmap_schemas.config import Config, configuration_digest
 from roughmap_schemas.keys import Keys
 from roughmap_schemas.messages import MapStatus, QueryRecord
-from roughmap_service.answers.emptied import Emptied
 from roughmap_service.answers.queryables import Answers
-from roughmap_service.answers.tile_reply import Identity
+from roughmap_service.answers.reset_history import ResetHistory
+from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.host.counters import Counters
 from roughmap_service.run.view import View
-from roughmap_service.watch.status import Progress, Status
+from roughmap_service.watch.status import RunProgress, Status
 
 T0 = 1_700_000_000 * 10**9
 INSTANCE = "0123456789abcdef" * 2
@@ -66,11 +66,11 @@ class Served:
         self.map = filled(self.config)
         self.view = View(self.map, self.epoch)
         self.keys = Keys(self.config.map.name, self.config.keys)
-        self.emptied = Emptied(self.config.map.max_tiles)
+        self.resets = ResetHistory(self.config.map.max_tiles)
         self.counters = Counters()
-        self.progress = Progress()
+        self.progress = RunProgress()
         self.digest = configuration_digest(self.config)
-        self.identity = Identity(self.config.map.name, RUN, self.instance, self.digest, self.config.map.frame_id)
+        self.served_map = ServedMap(self.config.map.name, RUN, self.instance, self.digest, self.config.map.frame_id)
         self.records: list[QueryRecord] = []
         self.recorded = threading.Condition()
         self._stack = ExitStack()
@@ -82,12 +82,12 @@ class Served:
         actions = self.actions or {"reset": self.reset}
         if self.status is None:
             self.status = Status(
-                self.view, self.counters, self.config, self.identity, "9.8.7", lambda: self.progress
+                self.view, self.counters, self.config, self.served_map, "9.8.7", lambda: self.progress
             )  # fmt: skip
         self.answers = self._stack.enter_context(
             Answers(
-                self.server, self.view, self.keys, self.config, self.identity, status=self.status,
-                control=actions, record_query=self._record, emptied=self.emptied,
+                self.server, self.view, self.keys, self.config, self.served_map, status=self.status,
+                control=actions, record_query=self._record, resets=self.resets,
             )
         )  # fmt: skip
         self._wait_known(self.keys.control(list(actions)[-1]))
@@ -123,7 +123,7 @@ class Served:
     def reset(self) -> tuple[int, int]:
         """As the sequencer does it."""
         with self.view.change() as rough_map:
-            self.emptied.note(rough_map)
+            self.resets.note(rough_map)
             rough_map.reset()
             self.view.epoch += 1
             return rough_map.sequence, self.view.epoch

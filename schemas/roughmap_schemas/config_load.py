@@ -21,7 +21,7 @@ from roughmap_schemas.values import LEAST
 DEFAULT_FILE: Final = Path("roughmap.toml")
 PREFIX: Final = "ROUGHMAP_"
 MAX_FILE: Final = 1 << 20
-"""Bytes of a configuration file: anything larger is another file."""
+"""Largest configuration file in bytes; anything larger is some other file."""
 
 FILES_ONLY: Final = ("sensors", "robots")
 """Tables whose keys are names of frames and robots, which environment variables can't express."""
@@ -130,7 +130,7 @@ def _put(values: dict[str, Any], given: dict[str, str], parts: tuple[str, ...], 
     if dotted in REMOVED:
         raise ConfigFault(f"{source}: {dotted}: {_removed(dotted)}")
     if parts[0] in FILES_ONLY:
-        raise ConfigFault(f"{source}: {dotted}: {parts[0]} can be set in a file only, as [{parts[0]}.NAME] tables")
+        raise ConfigFault(f"{source}: {dotted}: {parts[0]} can only be set in a file, as [{parts[0]}.NAME] tables")
     section = _section(parts[0])
     if section is None or len(parts) < 2:
         meant = _meant(parts[0], _sections())

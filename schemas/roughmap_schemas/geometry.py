@@ -82,6 +82,24 @@ def rotation_matrix(unit: Quaternion) -> Matrix:
     )
 
 
+def quaternion_of(matrix: Matrix) -> Quaternion:
+    """Give the unit quaternion of a rotation matrix, which may be rounded.
+
+    The diagonal gives the four squares 4 x^2 .. 4 w^2. The largest, at least 1, is the one to divide by.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = matrix
+    columns = (
+        (1 + a - e - i, b + d, c + g, h - f),
+        (b + d, 1 - a + e - i, f + h, c - g),
+        (c + g, f + h, 1 - a - e + i, d - b),
+        (h - f, c - g, d - b, 1 + a + e + i),
+    )
+    best = max(range(4), key=lambda n: columns[n][n])
+    length = math.sqrt(sum(part * part for part in columns[best]))
+    x, y, z, w = (part / length for part in columns[best])
+    return x, y, z, w
+
+
 def move(
     points: NDArray[np.floating[Any]], translation: Vector, unit: Quaternion, *, keep_zero_rows: bool
 ) -> NDArray[np.float64]:

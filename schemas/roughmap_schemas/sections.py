@@ -171,7 +171,7 @@ class InputConfig(Section):
         if self.max_message > min(self.queue_limit, MAX_MESSAGE_BYTES):
             raise ValueError(
                 f"input.max_message: must be at most input.queue_limit ({self.queue_limit}), or a cloud of that size "
-                f"is busy for ever, and at most {MAX_MESSAGE_BYTES}; found {self.max_message}"
+                f"would always be refused as busy, and at most {MAX_MESSAGE_BYTES}; found {self.max_message}"
             )
         return self
 

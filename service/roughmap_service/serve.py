@@ -17,11 +17,11 @@ from roughmap_schemas import Config, Keys, configuration_digest
 from roughmap_schemas.config_load import LoadedConfig
 from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.messages import LogState
-from roughmap_service.answers.emptied import Emptied
 from roughmap_service.answers.events import EventPublisher
 from roughmap_service.answers.queryables import Answers
 from roughmap_service.answers.records import OutputRecords
-from roughmap_service.answers.tile_reply import Identity
+from roughmap_service.answers.reset_history import ResetHistory
+from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.answers.updates import Updates
 from roughmap_service.engine.control import Control
 from roughmap_service.engine.live_run import LiveRun
@@ -46,9 +46,9 @@ from roughmap_service.store.map_db import Store
 from roughmap_service.store.memory_limit import MemoryLimit, keep_freed
 from roughmap_service.store.snapshots import Snapshots, cut_of
 from roughmap_service.store.spill import Spill
+from roughmap_service.watch.parts import RunningParts, connect_pages
 from roughmap_service.watch.readiness import Readiness, Sources
-from roughmap_service.watch.status import Progress, Status, StatusPublisher
-from roughmap_service.watch.watched import Parts, show
+from roughmap_service.watch.status import RunProgress, Status, StatusPublisher
 
 logger = logging.getLogger(__name__)
 
@@ -147,7 +147,7 @@ class Service:
         self._sources = sources
         self._keys = Keys(config.map.name, config.keys)
         self._run_id = recovered.run_id or uuid.uuid4().hex
-        self._identity = Identity(
+        self._served = ServedMap(
             config.map.name, self._run_id, instance, configuration_digest(config), config.map.frame_id
         )
         self._run = recovered.run
@@ -227,13 +227,13 @@ class Service:
             self._store, self._view, writer, stored, keep=config.log.keep, spill=self._memory.spill
         )
         self._queue = InputQueue(config.input.queue_limit, self._counters)
-        self._emptied = Emptied(config.map.max_tiles)
+        self._resets = ResetHistory(config.map.max_tiles)
         events = stack.enter_context(EventPublisher(self._session, self._keys))
         recorder = Recorder(writer, self._keys)
         live = LiveRun(self._run, self._view, writer, recorder, self._counters, self._memory, events.publish)
         intervals = Intervals(config.log.checkpoint_interval, config.store.snapshot_interval)
         self._sequencer = Sequencer(
-            live, self._queue, writer, self._memory, intervals, self._take_snapshot, self._emptied.note
+            live, self._queue, writer, self._memory, intervals, self._take_snapshot, self._resets.note
         )
         self._sequencer.start()
         stack.callback(self._end_sequencer)
@@ -252,23 +252,25 @@ class Service:
             snapshots.wait(ending.left(0.5))
 
     def _start_answers(self, stack: ExitStack) -> None:
-        config, view, keys, identity = self._config, self._view, self._keys, self._identity
-        self._parts = Parts(self._sequencer, self._writer, self._queue, self._snapshots, self._memory, self._counters)
-        self._status = Status(view, self._counters, config, identity, version("roughmap"), self._progress)
+        config, view, keys, served = self._config, self._view, self._keys, self._served
+        self._parts = RunningParts(
+            self._sequencer, self._writer, self._queue, self._snapshots, self._memory, self._counters
+        )
+        self._status = Status(view, self._counters, config, served, version("roughmap"), self._progress)
         control = Control(self._sequencer, self._snapshots, self._take_snapshot)
         records = OutputRecords(self._writer, keys, self._counters, queries=config.log.queries)
         self._answers = stack.enter_context(
             Answers(
-                self._session, view, keys, config, identity, status=self._status,
+                self._session, view, keys, config, served, status=self._status,
                 control={"snapshot": control.snapshot, "reset": control.reset}, record_query=records.query,
-                emptied=self._emptied,
+                resets=self._resets,
             )
         )  # fmt: skip
-        stack.enter_context(Updates(self._session, view, keys, config, identity, records.update, self._emptied))
+        stack.enter_context(Updates(self._session, view, keys, config, served, records.update, self._resets))
         stack.enter_context(StatusPublisher(self._session, keys, self._status))
 
-    def _progress(self) -> Progress:
-        return Progress(
+    def _progress(self) -> RunProgress:
+        return RunProgress(
             durable_sequence=self._writer.durable_sequence,
             input=self._run.input,
             newest_stamp_ns=self._run.newest_stamp_ns,
@@ -283,7 +285,7 @@ class Service:
         stack.enter_context(ZenohInputs(self._session, self._keys, self._queue, self._receipts, limit, self._counters))
 
     def _show(self, stack: ExitStack) -> None:
-        show(self._parts, self._answers, self._sources, self._status, self._config)
+        connect_pages(self._parts, self._answers, self._sources, self._status, self._config)
         stack.callback(self._parts.end, self._sources)
 
 

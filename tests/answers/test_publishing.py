@@ -64,7 +64,7 @@ def test_who_listens_right_after_a_reset_hears_what_it_emptied() -> None:
         with served.map.freeze(1) as frozen:
             known = {(1, x, y) for x, y in frozen.tiles.tolist()}
         with Updates(
-            served.server, served.view, served.keys, served.config, served.identity, lambda *_: None, served.emptied
+            served.server, served.view, served.keys, served.config, served.served_map, lambda *_: None, served.resets
         ):
             served.reset()
             served.add(np.array([[0.5, 0.5, 1.0]]))
@@ -87,7 +87,7 @@ def test_a_round_that_fails_is_made_up_for(caplog: pytest.LogCaptureFixture) -> 
 
     with Served({"updates": {"update_hz": 50.0}}) as served, caplog.at_level(logging.ERROR):
         subscriber = served.asker.declare_subscriber("maps/site/updates/0/*/*", heard)
-        with Updates(served.server, served.view, served.keys, served.config, served.identity, record, served.emptied):
+        with Updates(served.server, served.view, served.keys, served.config, served.served_map, record, served.resets):
             served.add(np.array([[1.0, 1.0, 1.0], [50.0, 1.0, 1.0]]))
             heard.wait(
                 lambda items: (

@@ -3,14 +3,20 @@
 from itertools import product
 
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
 from served import INSTANCE, RUN, T0, S, filled, some_points
 
 from roughmap_schemas import Config, Keys
-from roughmap_schemas.messages import TileInfo, parse_model
-from roughmap_service.answers.emptied import Emptied
-from roughmap_service.answers.tile_cache import ENTRY_BYTES, DrawnTile, TileCache, drawn_tile
-from roughmap_service.answers.tile_reply import Identity
-from roughmap_service.answers.tiles import Reader
+from roughmap_schemas.messages import TileInfo, model_bytes
+from roughmap_service.answers.drawn_tile import DrawnTile, drawn_tile
+from roughmap_service.answers.map_reader import MapReader
+from roughmap_service.answers.plan import Reply
+from roughmap_service.answers.region import plan_region
+from roughmap_service.answers.reset_history import ResetHistory
+from roughmap_service.answers.served_map import ServedMap
+from roughmap_service.answers.tile_cache import ENTRY_BYTES, TileCache
+from roughmap_service.answers.tiles import TileQueries
 from roughmap_service.run.view import View
 
 
@@ -45,18 +51,29 @@ def test_a_tile_larger_than_the_limit_is_not_kept() -> None:
     assert cache.nbytes == 0
 
 
-def test_what_is_told_of_a_tile_is_what_the_model_says() -> None:
-    tile = drawn(10)
-    told = tile.info.model_copy(update={"map_sequence": 12, "answer_tiles": 345})
-    assert parse_model(TileInfo, tile.told(12, 345)) == told
-    assert tile.told(12, 345) == told.model_dump_json().encode()
+NUMBERS = st.integers(0, 2**63 - 1)
+INFOS = st.builds(
+    TileInfo, map=st.text(), instance=st.text(), epoch=NUMBERS, z=NUMBERS, x=st.none() | st.integers(),
+    y=st.none() | st.integers(), sequence=NUMBERS, map_sequence=st.just(0), answer_tiles=st.just(0), oldest_ns=NUMBERS,
+    newest_ns=NUMBERS, known_cells=NUMBERS, digest=st.none() | st.text(), configuration_digest=st.text(),
+    compression=st.sampled_from([None, "zstd"]),
+)  # fmt: skip
 
 
-def answer(reader: Reader, what: str, parameters: str) -> list[tuple]:
-    replies: list[tuple] = []
-    plan = reader.region(parameters) if what == "region" else reader.tiles(what, parameters)
-    plan.answer(lambda *reply: replies.append(reply))
-    return sorted(replies)
+@given(INFOS, NUMBERS, NUMBERS)
+def test_an_attachment_has_the_bytes_that_the_model_has(info: TileInfo, map_sequence: int, answer_tiles: int) -> None:
+    tile = drawn_tile(b"", info, np.zeros((64, 64), np.bool_))
+    in_answer = TileInfo.model_validate(
+        {**info.model_dump(), "map_sequence": map_sequence, "answer_tiles": answer_tiles}
+    )
+    assert tile.attachment(map_sequence, answer_tiles) == model_bytes(in_answer)
+    assert tile.info_in_answer(map_sequence, answer_tiles) == in_answer
+
+
+def replies(reader: MapReader, what: str, parameters: str) -> list[Reply]:
+    plan = plan_region(reader, parameters) if what == "region" else TileQueries(reader).plan(what, parameters)
+    with plan.read() as answer:
+        return sorted(answer.replies)
 
 
 def test_answers_follow_the_map() -> None:
@@ -65,16 +82,16 @@ def test_answers_follow_the_map() -> None:
     config = Config.model_validate({"map": {"name": "site"}})
     keeps_none = config.model_copy(update={"query": config.query.model_copy(update={"cache_limit": 1})})
     with filled(config) as rough_map:
-        view, keys, emptied = View(rough_map, 5), Keys("site", config.keys), Emptied(1000)
-        identity = Identity("site", RUN, INSTANCE, "0" * 32, "map")
-        kept, plain = (Reader(view, keys, one, identity, emptied) for one in (config, keeps_none))
+        view, keys, resets = View(rough_map, 5), Keys("site", config.keys), ResetHistory(1000)
+        served = ServedMap("site", RUN, INSTANCE, "0" * 32, "map")
+        kept, plain = (MapReader(view, keys, one, served, resets) for one in (config, keeps_none))
         for change in ("none", "points", "far", "reset", "points"):
             if change == "points":
                 rough_map.add(some_points(300, 9), S, T0 + 20 * 10**9)
             elif change == "far":
                 rough_map.add(some_points(300, 9, (200.0, 0.0)), S, T0 + 40 * 10**9)
             elif change == "reset":
-                emptied.note(rough_map)
+                resets.note(rough_map)
                 rough_map.reset()
                 view.epoch += 1
             for what, layers, form in product(
@@ -85,5 +102,5 @@ def test_answers_follow_the_map() -> None:
                 if what == "region" and "since" in form:
                     continue
                 parameters = f"bbox=-3,-3,13,5;layers={layers}{form}"
-                first, again = answer(kept, what, parameters), answer(kept, what, parameters)
-                assert first == again == answer(plain, what, parameters), (change, what, parameters)
+                first, again = replies(kept, what, parameters), replies(kept, what, parameters)
+                assert first == again == replies(plain, what, parameters), (change, what, parameters)

@@ -23,7 +23,7 @@ def layers_of(served: Served, tile: RawTile) -> bool:
 
 
 def start(served: Served, record: Callable[..., None] = lambda *_: None) -> Updates:
-    return Updates(served.server, served.view, served.keys, served.config, served.identity, record, served.emptied)
+    return Updates(served.server, served.view, served.keys, served.config, served.served_map, record, served.resets)
 
 
 @pytest.mark.parametrize("level", [0, 1])
@@ -142,7 +142,8 @@ def test_a_round_holds_only_what_changed() -> None:
 def test_one_tile_at_most_so_often(monkeypatch: pytest.MonkeyPatch) -> None:
     """However many scans come between two rounds, which are a quarter of an hour apart here, or the last round and the
     end: they make one update a tile."""
-    monkeypatch.setattr(updates, "BACK_S", 3600.0)  # so that the first round is of the first scan, however slow this is
+    # So that the first round is of the first scan, however slow this is.
+    monkeypatch.setattr(updates, "BACK_SECONDS", 3600.0)
     heard: Gathered[zenoh.Sample] = Gathered()
     with Served({"updates": {"update_hz": 0.001}}) as served:
         with start(served):

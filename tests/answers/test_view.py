@@ -9,9 +9,13 @@ from net import WAIT_S, wait_for
 from served import INSTANCE, RUN, T0, S, filled, some_points
 
 from roughmap_schemas import Config, Keys
-from roughmap_service.answers.emptied import Emptied
-from roughmap_service.answers.tile_reply import Identity
-from roughmap_service.answers.tiles import Plan, Reader
+from roughmap_schemas.messages import TileInfo, parse_model
+from roughmap_service.answers.map_reader import MapReader
+from roughmap_service.answers.plan import Plan, Reply
+from roughmap_service.answers.region import plan_region
+from roughmap_service.answers.reset_history import ResetHistory
+from roughmap_service.answers.served_map import ServedMap
+from roughmap_service.answers.tiles import TileQueries
 from roughmap_service.run.view import View
 
 CONFIG = Config.model_validate({"map": {"name": "site"}})
@@ -25,15 +29,24 @@ def view() -> Iterator[View]:
         yield View(rough_map, 5)
 
 
-def reader_of(view: View) -> Reader:
-    keys = Keys("site", CONFIG.keys)
-    return Reader(view, keys, CONFIG, Identity("site", RUN, INSTANCE, "0" * 32, "map"), Emptied(1000))
+class Asked:
+    """Queries on a map, answered without a network; tiles that one has drawn are kept for the next."""
+
+    def __init__(self, view: View) -> None:
+        served = ServedMap("site", RUN, INSTANCE, "0" * 32, "map")
+        self._reader = MapReader(view, Keys("site", CONFIG.keys), CONFIG, served, ResetHistory(1000))
+        self._tiles = TileQueries(self._reader)
+
+    def tiles(self, key: str, parameters: str) -> list[Reply]:
+        return replies(self._tiles.plan(key, parameters))
+
+    def region(self, parameters: str) -> list[Reply]:
+        return replies(plan_region(self._reader, parameters))
 
 
-def replies(plan: Plan) -> list[tuple]:
-    sent: list[tuple] = []
-    plan.answer(lambda *reply: sent.append(reply))
-    return sent
+def replies(plan: Plan) -> list[Reply]:
+    with plan.read() as answer:
+        return list(answer.replies)
 
 
 class Beside:
@@ -50,32 +63,32 @@ class Beside:
         threading.Thread(target=run, daemon=True).start()
 
 
-def queries(reader: Reader) -> list[Callable[[], list[tuple]]]:
+def queries(asked: Asked) -> list[Callable[[], list[Reply]]]:
     return [
-        lambda: replies(reader.tiles(TILES, BOX)),
-        lambda: replies(reader.tiles(TILES, f"{BOX};since=2;epoch=5")),
-        lambda: replies(reader.region(f"{BOX};layers=mean_height,count,age")),
-        lambda: replies(reader.tiles("maps/site/tiles/2/*/*", "layers=slope")),
+        lambda: asked.tiles(TILES, BOX),
+        lambda: asked.tiles(TILES, f"{BOX};since=2;epoch=5"),
+        lambda: asked.region(f"{BOX};layers=mean_height,count,age"),
+        lambda: asked.tiles("maps/site/tiles/2/*/*", "layers=slope"),
     ]
 
 
 def test_what_is_drawn_already_is_answered_while_the_map_changes(view: View) -> None:
     """At the sequence before the change, which nobody can tell from an answer right before it."""
-    reader = reader_of(view)
-    before = [ask() for ask in queries(reader)]
+    asked = Asked(view)
+    before = [ask() for ask in queries(asked)]
     with view.change() as rough_map:
         rough_map.add(some_points(300, 9), S, T0 + 20 * 10**9)
-        for ask, expected in zip(queries(reader), before, strict=True):
+        for ask, expected in zip(queries(asked), before, strict=True):
             beside = Beside(ask)
             wait_for(beside.done, "an answer during a change")
             assert beside.found == expected
-    for ask, old in zip(queries(reader), before, strict=True):
+    for ask, old in zip(queries(asked), before, strict=True):
         assert ask() != old
 
 
 def test_what_is_not_drawn_waits_for_the_end_of_the_change(view: View) -> None:
-    reader = reader_of(view)
-    replies(reader.tiles(TILES, "bbox=-3,-3,0,0"))
+    asked = Asked(view)
+    asked.tiles(TILES, "bbox=-3,-3,0,0")
     with view.change() as rough_map:
         standing = view.standing
         assert standing is not None
@@ -83,14 +96,14 @@ def test_what_is_not_drawn_waits_for_the_end_of_the_change(view: View) -> None:
         rough_map.add(some_points(300, 9), S, T0 + 20 * 10**9)
         sequence = rough_map.sequence
         more = Beside(
-            lambda: {reply[3].decode().count(f'"map_sequence":{sequence},') for reply in queries(reader)[0]()}
+            lambda: {parse_model(TileInfo, reply.attachment or b"").map_sequence for reply in queries(asked)[0]()}
         )
-        anew = Beside(lambda: replies(reader.tiles(TILES, "bbox=-3,-3,0,0;since=1;epoch=4")))
+        all_tiles = Beside(lambda: asked.tiles(TILES, "bbox=-3,-3,0,0;since=1;epoch=4"))
         assert not more.done.is_set()
-        assert not anew.done.is_set()
-    for beside in (more, anew):
+        assert not all_tiles.done.is_set()
+    for beside in (more, all_tiles):
         wait_for(beside.done, "an answer after the change")
-    assert more.found == {1}
+    assert more.found == {sequence}
     assert view.standing is None
 
 

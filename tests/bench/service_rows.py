@@ -9,7 +9,7 @@ from figures import Bench, Mark, Row, rounds_row
 from scans import SCANS, SWEEP_NS, recorded, still
 from serving import Sender, flood, open_session, served
 
-from roughmap_service.cli.demo.parts import replay
+from roughmap_service.cli.demo.processes import replay
 
 ROUNDS = 8
 REPLAYS = 3

@@ -16,7 +16,7 @@ from scans import NOISE, POSE_VARIANCE, START_NS, SWEEP_NS, Recording
 from roughmap_client.session import ask
 from roughmap_schemas.cloud import encode_cloud
 from roughmap_schemas.odometry import encode_odometry
-from roughmap_service.cli.demo.parts import ServiceProcess
+from roughmap_service.cli.demo.processes import ServiceProcess
 
 MAP, ROBOT, SENSOR = "bench", "rover", "lidar"
 LEVEL = (0.0, 0.0, 0.0, 1.0)

@@ -7,8 +7,10 @@ import pytest
 
 from roughmap_schemas.cloud import decode_cloud
 from roughmap_schemas.odometry import decode_odometry
-from roughmap_service.formats import clouds_in
-from roughmap_service.formats.clouds_in import CloudFileFault, PlacedPoints, RecordedScan, read_cloud, read_scans
+from roughmap_service.formats import npz, text
+from roughmap_service.formats.clouds import read_cloud
+from roughmap_service.formats.npz import read_scans
+from roughmap_service.formats.recorded import CloudFileFault, PlacedPoints, RecordedScan
 from roughmap_service.simulation.playing import recorded_messages
 
 
@@ -35,7 +37,8 @@ def test_scans_of_whole_millimetres(tmp_path: Path) -> None:
     assert np.array_equal(first.points, [[0, 1, 2], [3, 4, 5]])
     assert (first.stamp_ns, second.stamp_ns) == (1_500_000_000, 2_000_000_000)
     assert len(second.points) == 3
-    assert np.array_equal(second.pose[:3, 3], [1, 2, 3])
+    assert np.array_equal(second.position, [1, 2, 3])
+    assert np.array_equal(second.rotation, [0, 0, 0, 1])
 
 
 def test_scans_in_metres_without_stamps(tmp_path: Path) -> None:
@@ -62,7 +65,7 @@ def test_recorded_scans_become_messages_with_their_pose_first(tmp_path: Path) ->
 
 
 def test_placed_points_come_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clouds_in, "PART_ROWS", 4)
+    monkeypatch.setattr(npz, "PART_ROWS", 4)
     points = np.random.default_rng(0).normal(size=(10, 3))
     covariance = np.tile(np.eye(3), (10, 1, 1)) * np.arange(10)[:, None, None]
     parts = list(read_cloud(write(tmp_path, points=points, stamp_ns=np.arange(10), covariance=covariance)))
@@ -77,7 +80,7 @@ def test_placed_points_come_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize(
-    "text",
+    "content",
     [
         "1 2 3\n4.5 -5 6e-1\n",
         "1,2,3\n4.5,-5,6e-1",
@@ -86,15 +89,15 @@ def test_placed_points_come_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyP
         'intensity,"Y",z,X\n7,2,3,1\n8,-5,0.6,4.5\n',
     ],
 )
-def test_text_in_its_many_forms(tmp_path: Path, text: str) -> None:
+def test_text_in_its_many_forms(tmp_path: Path, content: str) -> None:
     file = tmp_path / "points.csv"
-    file.write_text(text)
+    file.write_text(content)
     (part,) = read_cloud(file)
     assert np.array_equal(part.points, [[1, 2, 3], [4.5, -5, 0.6]])
 
 
 def test_text_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clouds_in, "PART_ROWS", 3)
+    monkeypatch.setattr(text, "PART_ROWS", 3)
     file = tmp_path / "points.xyz"
     file.write_text("x y z\n" + "".join(f"{k} {k} {k}\n" for k in range(7)))
     assert np.concatenate([part.points for part in read_cloud(file)])[:, 0].tolist() == list(range(7))
@@ -111,13 +114,13 @@ def test_an_empty_text_file_has_no_points(tmp_path: Path) -> None:
     [
         ({"points": np.zeros((5, 2))}, "numeric points"),
         ({"points": np.array([["a", "b", "c"]])}, "numeric points"),
-        ({"scan_start": np.array([0, 9, 5])}, "scan starts must rise"),
+        ({"scan_start": np.array([0, 9, 5])}, "scan starts that rise"),
         ({"scan_start": np.array([0, 2, 6])}, "at most 5"),
-        ({"scan_start": np.array([0.0, 2.0, 5.0])}, "whole scan starts"),
+        ({"scan_start": np.array([0.0, 2.0, 5.0])}, "integer scan starts"),
         ({"pose": np.zeros((2, 3, 4))}, "poses"),
-        ({"pose": np.full((2, 4, 4), np.nan)}, "not finite"),
+        ({"pose": np.full((2, 4, 4), np.nan)}, "expected finite poses"),
         ({"stamp_s": np.array([1.0])}, "2 finite stamps"),
-        ({"stamp_s": np.array([1.0, -3.0])}, "stamps must lie"),
+        ({"stamp_s": np.array([1.0, -3.0])}, "expected stamps from 0"),
         ({"stamp_s": np.array([1.0, np.nan])}, "finite stamps"),
     ],
 )
@@ -135,8 +138,8 @@ def test_scans_that_are_none(tmp_path: Path, other: dict[str, object], said: str
         ("cloud.npz", b"", "not a readable NPZ"),
         ("cloud.npz", b"PK\x03\x04 torn", "not a readable NPZ"),
         ("cloud.csv", b"1 2\n", "at least 3 columns"),
-        ("cloud.csv", b"1 2 three\n", "three numbers"),
-        ("cloud.bin", b"", "unknown kind of file"),
+        ("cloud.csv", b"1 2 three\n", "three numbers per line"),
+        ("cloud.bin", b"", "unknown file format"),
         ("cloud", b"", "no suffix"),
     ],
 )

@@ -5,7 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from roughmap_schemas import load_config
 from roughmap_service.cli.main import run
+from roughmap_service.simulation.rover import sensor_settings
+from roughmap_service.simulation.scanner import Scanner
 
 
 @pytest.fixture(autouse=True)
@@ -74,3 +77,17 @@ def test_a_group_alone_shows_its_help(arguments: list[str], capsys: pytest.Captu
     assert (code, out) == (2, "")
     assert err.startswith("Usage: roughmap")
     assert err == called([*arguments, "--help"], capsys)[1]
+
+
+def test_the_example_is_valid_and_has_the_sensor_of_simulate(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["config", "example"]) == 0
+    file = tmp_path / "roughmap.toml"
+    file.write_text(capsys.readouterr().out)
+    lidar = load_config(file).config.sensors["lidar"]
+    simulated = sensor_settings(Scanner())
+    assert list(lidar.translation) == simulated["translation"]
+    assert (lidar.range_sigma, lidar.beam_sigma, lidar.min_range) == tuple(
+        simulated[name] for name in ("range_sigma", "beam_sigma", "min_range")
+    )

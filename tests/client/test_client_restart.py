@@ -25,7 +25,7 @@ def service(endpoint: str, number: int) -> Iterator[tuple[Served, str]]:
         served = Served(settings=settings, sessions=(session, session), instance=f"{number:032x}", epoch=number)
         stack.enter_context(served)
         updates = Updates(
-            session, served.view, served.keys, served.config, served.identity, lambda *_: None, served.emptied
+            session, served.view, served.keys, served.config, served.served_map, lambda *_: None, served.resets
         )
         stack.enter_context(updates)
         yield served, locators(session)[0]

@@ -70,8 +70,8 @@ def test_the_tiles_that_change_come(pair: Pair) -> None:
         record = Gathered[object]()
         with (
             Updates(
-                served.server, served.view, served.keys, served.config, served.identity,
-                lambda *told: record(told), served.emptied,
+                served.server, served.view, served.keys, served.config, served.served_map,
+                lambda *told: record(told), served.resets,
             ),
             RoughMapClient("site", session=served.asker, timeout=WAIT_S) as client,
             client.watch(tiles, level=1),

@@ -82,7 +82,7 @@ def test_a_signal_on_the_way_up_is_heard(tmp_path: Path) -> None:
         sequence = run.run.map.sequence
     before = sorted(path.name for path in (tmp_path / "log").glob("*.mcap"))
     with Service(tmp_path) as service:
-        service.told("folding the log", 100.0)
+        service.told("rebuilding the map from the log", 100.0)
         assert service.stop() == 0
         assert service.out == [], "it was not ready"
     assert sorted(path.name for path in (tmp_path / "log").glob("*.mcap")) == before
@@ -126,7 +126,7 @@ def test_an_end_that_the_spill_file_holds_up_is_no_good_end(tmp_path: Path, shim
         assert service.stop() == 1
     last = service.err[-5:]
     assert any(line.startswith("roughmap: the sequencer did not end in time; ") for line in service.err), last
-    assert not any("ended in order" in line for line in service.err)
+    assert not any("shut down in order" in line for line in service.err)
 
 
 def test_an_end_that_takes_too_long_is_cut_short(tmp_path: Path, shim: Shim) -> None:

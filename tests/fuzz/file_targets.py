@@ -12,7 +12,8 @@ import xxhash
 
 from roughmap_schemas import ConfigFault, config_from
 from roughmap_schemas.config_load import load_config
-from roughmap_service.formats.clouds_in import CloudFileFault, PlacedPoints, read_cloud
+from roughmap_service.formats.clouds import read_cloud
+from roughmap_service.formats.recorded import CloudFileFault, PlacedPoints
 from roughmap_service.journal.reader import LogError, is_closed, last_log_time, raw_records, read_file
 from roughmap_service.journal.repair import repair
 from roughmap_service.journal.run_files import find_files, one_run, read_run
@@ -79,7 +80,7 @@ def blob(payload: bytes) -> None:
     store = Store(Path("map.db"))
     for digest in (payload[:16], xxhash.xxh3_128_digest(bytes(TILE_BYTES))):
         with contextlib.suppress(StoreError):
-            assert store.unpacked(0, 0, digest, payload[16:]).nbytes == TILE_BYTES
+            assert store.unpack(0, 0, digest, payload[16:]).nbytes == TILE_BYTES
 
 
 def store(payload: bytes) -> None:

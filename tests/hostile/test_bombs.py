@@ -17,7 +17,8 @@ from mcap.records import Chunk, Header, Metadata
 from roughmap_schemas import Config, MessageFault, RunMetadata, decode_cloud, decode_grid
 from roughmap_schemas.grid import DATA_TAG, encode_grid
 from roughmap_schemas.wire import write_varint
-from roughmap_service.formats.clouds_in import CloudFileFault, read_cloud
+from roughmap_service.formats.clouds import read_cloud
+from roughmap_service.formats.recorded import CloudFileFault
 from roughmap_service.journal.reader import MAGIC, DamagedLog, LogError, TornLog, raw_records
 from roughmap_service.journal.repair import repair
 from roughmap_service.store.map_db import DamagedStore, Store
@@ -122,7 +123,7 @@ def test_a_reply_to_the_client(packed: dict[str, bytes]) -> None:
 
 def test_a_tile_of_the_store(packed: dict[str, bytes]) -> None:
     with little_memory(), pytest.raises(DamagedStore, match=r"tile \(0, 0\) is damaged"):
-        Store(Path("map.db")).unpacked(0, 0, bytes(16), packed["zstd"])
+        Store(Path("map.db")).unpack(0, 0, bytes(16), packed["zstd"])
 
 
 def test_an_archive_of_points(tmp_path: Path) -> None:

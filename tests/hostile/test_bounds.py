@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from net import WAIT_S
 from processes import LEVEL, T0, Service, connected, read_log, running
 
@@ -10,7 +11,7 @@ from roughmap_schemas import QueryError, encode_odometry
 from roughmap_schemas.kinds import Kind
 from roughmap_schemas.layers import LAYERS
 from roughmap_service.host.counters import Counters
-from roughmap_service.inputs.queue import InputMessage, Intake
+from roughmap_service.inputs.queue import InputMessage, InputQueue
 from roughmap_service.run.duplicates import Duplicates
 
 S = 10**9
@@ -31,20 +32,21 @@ def test_a_robot_that_floods_has_no_others_messages_forgotten() -> None:
     assert again.to_state() == known.to_state()
 
 
-def test_poses_that_wait_to_be_taken_up() -> None:
+def test_poses_that_wait_to_be_taken_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beyond the limit they are busy; once those before them are taken, there is room again."""
     counters = Counters()
-    intake = Intake(1000, counters, pose_limit=3)
+    monkeypatch.setattr("roughmap_service.inputs.queue.MAX_POSES", 3)
+    queue = InputQueue(1000, counters)
 
     def put(number: int) -> None:
-        intake.put(InputMessage(Kind.ODOMETRY, "rover", b"%d" % number, 0, 0.0))
+        queue.put(InputMessage(Kind.ODOMETRY, "rover", b"%d" % number, 0, 0.0))
 
     for number in range(5):
         put(number)
     assert counters.snapshot().refused == {"busy": 2}
-    assert [message.payload for message in intake.take(0.0)[0]] == [b"0", b"1", b"2"]
+    assert [message.payload for message in queue.take(0.0)[0]] == [b"0", b"1", b"2"]
     put(5)
-    assert [message.payload for message in intake.take(0.0)[0]] == [b"5"]
+    assert [message.payload for message in queue.take(0.0)[0]] == [b"5"]
     assert counters.snapshot().refused == {"busy": 2}
 
 

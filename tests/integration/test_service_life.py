@@ -76,7 +76,7 @@ def test_a_signal_is_heeded_from_the_first_line_on(tmp_path: Path) -> None:
         service.told("roughmap")
         assert service.stop() == 0
         assert service.out == []
-        assert "ended in order on SIGTERM" in service.err[-1]
+        assert "shut down in order on SIGTERM" in service.err[-1]
 
 
 def test_a_second_service_of_the_same_map_does_not_start(service: Service, tmp_path: Path) -> None:
@@ -86,7 +86,7 @@ def test_a_second_service_of_the_same_map_does_not_start(service: Service, tmp_p
         assert f"map 'site' is served already, by maps/site/alive/{ready['instance']}" in second.err[-1]
         (waiting,) = [line for line in second.err if "seems to be served already" in line]
         assert ready["instance"] in waiting
-        assert "waiting at most 0.2 s for it to go" in waiting, "said before, not only at the end"
+        assert "waiting up to 0.2 s (service.alive_wait) for it to end" in waiting, "said before, not only at the end"
 
 
 def test_another_map_beside_it_does_start(service: Service, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from operate_pages import address, get, pages, wait_until
 from served import Served
 
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, QueryCode, Refusal
-from roughmap_service.watch.metrics import Depths, Disk, Metrics
+from roughmap_service.watch.metrics import Disk, Metrics, PartFigures
 from roughmap_service.watch.readiness import Problem, Readiness, Sources
 
 DOCKER = Path(__file__).parents[2] / "docker"
@@ -46,7 +46,7 @@ def filled_metrics(served: Served, directory: Path) -> Metrics:
         served.counters.gap("rover1", 1)
         served.counters.jump("rover1")
     assert served.status is not None
-    return Metrics(served.status, served.counters, Depths, dict, Disk(directory, directory / "map.db"), 2**31)
+    return Metrics(served.status, served.counters, PartFigures, dict, Disk(directory, directory / "map.db"), 2**31)
 
 
 @pytest.fixture(scope="module")

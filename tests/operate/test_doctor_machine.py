@@ -33,10 +33,10 @@ def test_a_directory_that_can_be_written_with_room(tmp_path: Path) -> None:
 def test_a_directory_that_is_none_or_without_room(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     (log,) = doctor_machine.directories(Config.model_validate({"log": {"directory": str(tmp_path / "file" / "log")}}))
-    assert (log.verdict, "can't be written" in log.text, "log.directory" in log.mend) == ("wrong", True, True)
+    assert (log.verdict, "is not writable" in log.text, "log.directory" in log.remedy) == ("wrong", True, True)
     large = Config.model_validate({"log": {"directory": str(tmp_path), "max_file_bytes": "1000TiB"}})
     (log,) = doctor_machine.directories(large)
-    assert (log.verdict, log.mend) == ("note", "make room")
+    assert (log.verdict, log.remedy) == ("note", "free some space")
 
 
 def test_memory_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,10 +97,10 @@ def tls(**names: Path) -> zenoh.Config:
 
 def test_certificates_by_their_dates(tmp_path: Path) -> None:
     cases: list[tuple[datetime, datetime, str, str]] = [
-        (NOW - DAY, NOW + 400 * DAY, "ok", "400 days more"),
-        (NOW - DAY, NOW + 29 * DAY, "note", "29 days more"),
-        (NOW - 2 * DAY, NOW - DAY, "wrong", "ended 2030-05-31 00:00 UTC"),
-        (NOW + DAY, NOW + 2 * DAY, "wrong", "valid from 2030-06-02 00:00 UTC only"),
+        (NOW - DAY, NOW + 400 * DAY, "ok", "400 days left"),
+        (NOW - DAY, NOW + 29 * DAY, "note", "29 days left"),
+        (NOW - 2 * DAY, NOW - DAY, "wrong", "expired 2030-05-31 00:00 UTC"),
+        (NOW + DAY, NOW + 2 * DAY, "wrong", "not valid before 2030-06-02 00:00 UTC"),
     ]
     for number, (begin, end, verdict, words) in enumerate(cases):
         path, key = certificate(tmp_path, f"c{number}", begin, end)
@@ -119,10 +119,10 @@ def test_certificates_that_are_none_and_keys_that_do_not_fit(tmp_path: Path) -> 
     _, other = certificate(tmp_path, "other", NOW - DAY, NOW + 400 * DAY)
     assert certificates(zenoh.Config(), NOW) == []
     found = certificates(tls(listen_certificate=path, listen_private_key=other), NOW)
-    assert (found[1].verdict, "is no key for" in found[1].text) == ("wrong", True)
+    assert (found[1].verdict, "is not the key of" in found[1].text) == ("wrong", True)
     key.chmod(0o644)
     found = certificates(tls(listen_certificate=path, listen_private_key=key), NOW)
-    assert (found[1].verdict, found[1].mend) == ("note", f"chmod 600 {key}")
+    assert (found[1].verdict, found[1].remedy) == ("note", f"chmod 600 {key}")
     for content in ("", "text", "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n", key.read_text()):
         path.write_text(content)
         assert certificates(tls(root_ca_certificate=path), NOW)[0].verdict == "wrong", content
@@ -165,4 +165,4 @@ def test_the_token_of_the_pages(tmp_path: Path, listen: str, token: str | None, 
         settings["token_file"] = str(tmp_path / "token")
     found = http_access(HttpConfig.model_validate(settings))
     assert (found.verdict if found else None) == verdict
-    assert found is None or not token or token not in found.text + found.mend
+    assert found is None or not token or token not in found.text + found.remedy

@@ -95,7 +95,7 @@ def test_a_robot_that_does_all_right() -> None:
 
 def test_nobody() -> None:
     verdict, text = only(Listening())
-    assert (verdict, "nobody published on robots/*/points" in text) == ("wrong", True)
+    assert (verdict, "no messages on robots/*/points" in text) == ("wrong", True)
 
 
 def test_names_that_are_expected_and_names_that_are_not() -> None:
@@ -103,7 +103,7 @@ def test_names_that_are_expected_and_names_that_are_not() -> None:
     well(listening)
     well(listening, robot="r3")
     assert listening.not_well() == [
-        ("wrong", "is not among input.robots: all of it is refused"),
+        ("wrong", "is not in input.robots: all its messages are refused"),
         ("note", "nothing from r2 (input.robots)"),
         ("note", "no cloud of sensor camera within 5 s"),
     ]
@@ -112,13 +112,13 @@ def test_names_that_are_expected_and_names_that_are_not() -> None:
 @pytest.mark.parametrize(
     ("messages", "verdict", "words"),
     [
-        (lambda one: one.cloud(0.0, frame="os0"), "wrong", "frame 'os0', which is neither the map's nor a configured"),
+        (lambda one: one.cloud(0.0, frame="os0"), "wrong", "frame 'os0' are refused: it is neither the map's frame"),
         (lambda one: one.cloud(0.0, timeless=True), "note", "1 of 2 clouds in 'lidar' have no per-point times"),
         (lambda one: one.pose(1.0), "wrong", "poses were up to 0.80 s apart"),
-        (lambda one: one.pose(0.1, covariance=None), "note", "1 of 3 poses say nothing of their covariance"),
-        (lambda one: one.pose(0.1, covariance=-np.eye(6)), "wrong", "1 of 3 poses have a covariance that is none"),
-        (lambda one: one.pose(0.1, frame="odom"), "note", "frame 'odom', which no transform leads to 'map'"),
-        (lambda one: one.cloud(0.5), "wrong", "1 of 2 clouds got no pose within input.max_wait = 30 s"),
+        (lambda one: one.pose(0.1, covariance=None), "note", "1 of 3 poses have no covariance"),
+        (lambda one: one.pose(0.1, covariance=-np.eye(6)), "wrong", "1 of 3 poses have an invalid covariance"),
+        (lambda one: one.pose(0.1, frame="odom"), "note", "frame 'odom' is rejected: no transform leads to 'map'"),
+        (lambda one: one.cloud(0.5), "wrong", "1 of 2 clouds had no pose within input.max_wait = 30 s"),
         (lambda one: one.take(Kind.POINTS, b"\xff"), "wrong", "1 of 2 clouds can't be read; 1: bad_message"),
         (lambda one: one.pose(0.1, encoding="text/plain"), "wrong", "1 of 3 odometry can't be read; 1: bad_encoding"),
     ],
@@ -130,7 +130,7 @@ def test_one_thing_that_is_not_well(messages: Any, verdict: str, words: str) -> 
     found = only(listening)
     assert found[0] == verdict, found
     assert words in found[1]
-    assert all(finding.mend for finding in listening.found() if finding.verdict != "ok")
+    assert all(finding.remedy for finding in listening.found() if finding.verdict != "ok")
 
 
 def test_frames_that_a_transform_joins() -> None:
@@ -147,7 +147,7 @@ def test_poses_are_needed_but_for_clouds_in_the_maps_own_frame() -> None:
     listening = Listening()
     listening.cloud(0.0, frame="map", robot="placed")
     listening.cloud(0.0, robot="bare")
-    assert only(listening) == ("wrong", "no odometry: none of its clouds can be placed")
+    assert only(listening) == ("wrong", "no odometry: its clouds can't be placed")
 
 
 def test_clocks_that_differ() -> None:
@@ -157,7 +157,7 @@ def test_clocks_that_differ() -> None:
         listening.cloud(0.0, robot=robot)
         listening.pose(poses_s + 0.2, robot=robot)
         listening.now -= round(3600e9)
-    by_words = {text.split(" by ")[0].split(" lie ")[0]: verdict for verdict, text in listening.not_well()}
+    by_words = {text.split(" by ")[0].split(" are ")[0]: verdict for verdict, text in listening.not_well()}
     assert by_words["stamps of clouds and odometry differ"] == "wrong"
     assert by_words["stamps"] == "note", "a recording of an hour ago"
 
@@ -259,7 +259,7 @@ def test_beside_a_service_that_is_up(tmp_path: Path, capsys: pytest.CaptureFixtu
             assert list(session.get("maps/site/ingest/r1/points", payload=b"no cloud", timeout=30.0))
         assert run(["doctor", "-c", str(file), "--seconds", "0"]) == 0
     told = capsys.readouterr().out
-    assert "note   robots    the service refused 1 messages since its start: bad_message 1\n" in told
+    assert "note   robots    the service has refused 1 messages since its start: bad_message 1\n" in told
     assert areas["zenoh"] == ["ok"]
     assert areas["r1"][:2] == ["ok", "ok"], "clouds and odometry were heard through the service"
 

@@ -13,7 +13,7 @@ from served import Served
 from roughmap_schemas.messages import LogState
 from roughmap_service.cli.main import run
 from roughmap_service.watch.readiness import Problem, Readiness, Sources, health_of, running_problems
-from roughmap_service.watch.status import Progress
+from roughmap_service.watch.status import RunProgress
 
 TOKEN = "the token of this page"
 
@@ -73,7 +73,7 @@ def test_another_program_on_the_port_is_no_service(answer: bytes, capsys: pytest
     [
         (None, 0, "ok"),
         (Problem.OVERLOADED, 0, "overloaded"),
-        (Problem.SNAPSHOT_FAILED, 1, "degraded: its log lines and"),
+        (Problem.SNAPSHOT_FAILED, 1, "degraded: the cause is in its log lines"),
         (Problem.LOG_NOT_WRITABLE, 1, "log_not_writable: the log can't be written"),
     ],
 )
@@ -83,7 +83,7 @@ def test_over_zenoh_every_degraded_is_a_failure(
     """The status has one word, and no cause."""
     with Served() as served:
         problems = [problem] if problem else []
-        served.progress = Progress(problems=problems, log=LogState(ok=problem is not Problem.LOG_NOT_WRITABLE))
+        served.progress = RunProgress(problems=problems, log=LogState(ok=problem is not Problem.LOG_NOT_WRITABLE))
         listen = f'zenoh.listen=["{locators(served.server)[0]}"]'
         assert health('""', "--set", listen) == code
     assert capsys.readouterr().out.startswith(f"site: {told}")

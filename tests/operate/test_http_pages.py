@@ -115,9 +115,7 @@ def test_a_token_is_needed_for_all_but_health(tmp_path: Path) -> None:
 
 def test_the_network_sees_nothing_without_a_token(tmp_path: Path) -> None:
     sources = sources_with({})
-    with pytest.raises(
-        HttpError, match=r"http.listen: 0.0.0.0:0 is open to the network and there is no token.*--insec"
-    ):
+    with pytest.raises(HttpError, match=r"http.listen: 0.0.0.0:0 is open to the network without a token.*--insec"):
         HttpServer(HttpConfig(listen="0.0.0.0:0"), sources)
     with HttpServer(HttpConfig.model_validate({"listen": "0.0.0.0:0", "token": TOKEN}), sources) as server:
         assert get(server, "/metrics")[0] == 401

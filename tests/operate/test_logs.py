@@ -21,7 +21,7 @@ from roughmap_service.host.log_lines import (
     note,
     set_up,
 )
-from roughmap_service.inputs import subscriptions
+from roughmap_service.inputs import admission
 from roughmap_service.inputs.admission import refuse
 from roughmap_service.watch.status import Overload
 
@@ -84,10 +84,11 @@ def test_repeats_are_counted_and_told_with_the_next_line(logger: logging.Logger)
 
 
 def test_each_robot_s_first_refusal_of_a_kind_is_told_and_a_flood_of_names_is_not(
-    logger: logging.Logger, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    logger = logging.getLogger(admission.__name__)
+    monkeypatch.setattr(logger, "handlers", [])
     stream, _ = lines_to(logger, JsonFormatter())
-    monkeypatch.setattr(subscriptions, "logger", logger)
     counters = Counters()
     for _ in range(REPEATS + 1):
         refuse(counters, "r1", MessageFault("unknown_sensor", "frame 'sonar'"))
@@ -98,7 +99,7 @@ def test_each_robot_s_first_refusal_of_a_kind_is_told_and_a_flood_of_names_is_no
     assert [(line["robot"], line["reason"]) for line in told] == [
         *[("r1", "unknown_sensor")] * REPEATS, ("r1", "bad_message"), ("r2", "unknown_sensor"), (OTHERS, "bad_key")
     ]  # fmt: skip
-    assert told[0]["message"] == "robot r1: a message is refused, unknown_sensor: frame 'sonar'"
+    assert told[0]["message"] == "robot r1: message refused, unknown_sensor: frame 'sonar'"
     assert len(told[-1]["message"]) < 1000
     for number in range(2 * MAX_KINDS):
         refuse(counters, f"flood{number}", MessageFault("unknown_robot", "not in input.robots"))
@@ -191,5 +192,5 @@ def test_nobody_waits_for_a_reader_of_the_lines_who_takes_none(logger: logging.L
         taken = reader.read(1 << 20)
         note(logger, logging.INFO, "line", "the end", always=True)
         lost, end = reader.read(1 << 20).decode().splitlines()
-        assert lost.endswith(f"WARNING {2000 - taken.count(b'INFO line')} log lines are lost: nobody took them")
+        assert lost.endswith(f"WARNING {2000 - taken.count(b'INFO line')} log lines are lost: stderr was blocked")
         assert end.endswith("INFO the end")

@@ -11,7 +11,7 @@ from served import Served, some_points
 from roughmap_schemas.messages import MapStatus
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
 from roughmap_service.host.counters import BOUNDS, MAX_ROBOTS, OTHERS, Counters
-from roughmap_service.watch.metrics import Depths, Disk, Metrics
+from roughmap_service.watch.metrics import Disk, Metrics, PartFigures
 from roughmap_service.watch.readiness import Problem
 
 Samples = dict[tuple[str, tuple[tuple[str, str], ...]], float]
@@ -33,10 +33,10 @@ def of(found: Samples, name: str, **labels: str) -> float:
     return found[f"roughmap_{name}", tuple(sorted(labels.items()))]
 
 
-def scrape(served: Served, directory: Path, depths: Depths | None = None) -> Samples:
+def scrape(served: Served, directory: Path, figures: PartFigures | None = None) -> Samples:
     assert served.status is not None
     metrics = Metrics(
-        served.status, served.counters, lambda: depths or Depths(), lambda: {Problem.OVERLOADED: ""},
+        served.status, served.counters, lambda: figures or PartFigures(), lambda: {Problem.OVERLOADED: ""},
         Disk(directory, directory / "map.db", directory / "tiles.spill"), 2**31,
     )  # fmt: skip
     return samples(metrics.text())
@@ -61,7 +61,7 @@ def test_metrics_say_what_the_status_says(tmp_path: Path) -> None:
         served.add(some_points())
         assert served.status is not None
         status = served.status()
-        found = scrape(served, tmp_path, Depths(1, 2, 3, 4, 5, snapshot_ok=False, memory_taken=6))
+        found = scrape(served, tmp_path, PartFigures(1, 2, 3, 4, 5, snapshot_ok=False, memory_counted=6))
     assert of(found, "clouds_accepted_total") == status.clouds.accepted == 1
     assert of(found, "points_accepted_total") == status.points.accepted == 100
     assert of(found, "poses_accepted_total") == status.poses.accepted == 1
@@ -160,4 +160,4 @@ def test_a_registration_makes_no_status(tmp_path: Path) -> None:
     def status() -> MapStatus:
         raise AssertionError("asked for a status")
 
-    Metrics(status, Counters(), Depths, dict, Disk(tmp_path, None), 1)
+    Metrics(status, Counters(), PartFigures, dict, Disk(tmp_path, None), 1)

@@ -99,7 +99,7 @@ def test_whence_a_sensor_of_a_robot_came_whose_name_has_dots(tmp_path: Path) -> 
 def test_robots_and_sensors_are_set_in_files_only(section: str) -> None:
     name = f"ROUGHMAP_{section.upper()}__LIDAR__RANGE_SIGMA"
     said = fault(None, environ={name: "0.1"})
-    assert said.startswith(f"environment {name}: {section}.lidar.range_sigma: {section} can be set in a file only")
+    assert said.startswith(f"environment {name}: {section}.lidar.range_sigma: {section} can only be set in a file")
     assert "command line" in fault(None, {f"{section}.lidar.range_sigma": 0.1})
 
 

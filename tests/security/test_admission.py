@@ -143,8 +143,8 @@ def test_a_service_with_bad_certificates_starts_nowhere(
         settings["zenoh"]["authority"] = str(certificates.good / "authority.pem")
         with Service(tmp_path / name, **settings) as service:
             assert service.finished(60) == 1
-            assert f"can't be opened on {router} " in service.err[-1]
-            assert "does it trust the certificate" in service.err[-1]
+            assert f"can't open zenoh on {router} " in service.err[-1]
+            assert "does it accept the certificate" in service.err[-1]
 
 
 def test_a_robot_that_gossips_is_not_followed_around_the_router(certificates: Certificates, tmp_path: Path) -> None:

@@ -87,7 +87,7 @@ def test_weaknesses() -> None:
     users = {"auth": {"usrpwd": {"dictionary_file": "users.txt"}}}
     assert weaknesses(listening("tls/0.0.0.0:7447", transport=tls)) == []
     assert weaknesses(listening("tls/0.0.0.0:7447", transport=users)) == []
-    assert "tls/0.0.0.0:7447 asks nobody" in weaknesses(listening("tls/0.0.0.0:7447"))[0]
+    assert "tls/0.0.0.0:7447 requires neither" in weaknesses(listening("tls/0.0.0.0:7447"))[0]
     assert "tcp/map:7447 is not encrypted" in weaknesses(listening(connect={"endpoints": ["tcp/map:7447"]}))[0]
 
 
@@ -114,7 +114,7 @@ def test_the_refusal_names_setting_and_mend(tmp_path: Path) -> None:
     assert told.startswith("zenoh.listen: tcp/0.0.0.0:7447 is open to the network without TLS")
     assert "--insecure" in told
     assert "CANARY" not in told
-    assert refusal(tmp_path, "[zenoh]\nscouting = true").startswith("zenoh.scouting: joins")
+    assert refusal(tmp_path, "[zenoh]\nscouting = true").startswith("zenoh.scouting: connects to any")
     assert "any page in a browser" in refusal(tmp_path, '[zenoh]\nlisten = ["ws/127.0.0.1:7448"]')
 
 

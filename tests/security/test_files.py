@@ -30,10 +30,10 @@ def test_a_folder_that_everybody_writes_to_is_refused(tmp_path: Path) -> None:
     shared = tmp_path / "shared"
     shared.mkdir()
     shared.chmod(0o1777)  # as /tmp is
-    assert f"{shared}: everybody on this machine may write there" in last_words(
+    assert f"{shared}: every user of this machine may write there" in last_words(
         tmp_path / "a", log={"directory": str(shared)}
     )
-    assert f"{shared}: everybody" in last_words(tmp_path / "b", store={"path": str(shared / "map.db")})
+    assert f"{shared}: every user" in last_words(tmp_path / "b", store={"path": str(shared / "map.db")})
     with Service(tmp_path / "c", log={"directory": str(shared / "own")}) as service, connected(service):
         assert service.stop() == 0
 

@@ -266,7 +266,7 @@ def test_zeros_where_a_record_was_are_damage(logs: Path, length: int) -> None:
     chunks = [at for at, kind in record_starts(data) if kind == Opcode.CHUNK]
     assert len(chunks) == 1
     path.write_bytes(data[: chunks[0]] + bytes(length) + data[chunks[0] :])
-    with pytest.raises(DamagedLog, match="no kind"):
+    with pytest.raises(DamagedLog, match="without a valid opcode"):
         list(read_file(path))
 
 

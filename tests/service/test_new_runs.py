@@ -69,7 +69,7 @@ def test_a_checkpoint_that_comes_out_otherwise(logs: Path, own: bool, caplog: py
     changes = {} if own else {"version": "0.0.1"}
     rewrite(path, nth("/events", 1, other_digest), **changes)
     if own:
-        with pytest.raises(RunError, match="can't be followed"):
+        with pytest.raises(RunError, match="can't be replayed"):
             recover(config(), logs, None)
     else:
         assert recover(config(), logs, None).run.map.digest() == run.run.map.digest()
@@ -106,7 +106,7 @@ def test_a_store_without_a_run(store: Store, run: str | None, name: str) -> None
 def test_what_is_no_store_is_not_put_aside(store: Store) -> None:
     store.path.parent.mkdir()
     store.path.write_bytes(b"holiday pictures " * 100)
-    with pytest.raises(StoreError, match=r"no map\.db"):
+    with pytest.raises(StoreError, match=r"not a map\.db"):
         store.set_aside()
     assert store.path.read_bytes().startswith(b"holiday")
 

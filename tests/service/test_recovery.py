@@ -9,7 +9,8 @@ import pytest
 from service_tools import LoggedRun, cloud, config, metadata, odometry, read_back
 
 from roughmap_schemas.kinds import Kind
-from roughmap_service.engine.recovery import IdentityError, Recovered, recover
+from roughmap_service.engine.newest_run import IdentityError
+from roughmap_service.engine.recovery import Recovered, recover
 from roughmap_service.journal.reader import LogError
 from roughmap_service.offline.replay import replay
 from roughmap_service.run.run import RunError
@@ -94,7 +95,7 @@ def test_every_event_is_applied_once_whichever_files_are_left(logs: Path, store:
     assert len(files) == 3
     files[0].unlink()
     assert digest(recover(config(), logs, store)) == run.run.map.digest()
-    with pytest.raises(LogError, match=r"begins at record .*no store to begin from"):
+    with pytest.raises(LogError, match=r"begins at record .*no store before it"):
         recover(config(), logs, None)
     files[1].unlink()
     with pytest.raises(LogError, match="the store ends at record"):
@@ -225,7 +226,7 @@ def test_a_configuration_of_another_version(logs: Path) -> None:
     assert read_back(logs)
     values = json.loads(json.dumps(metadata().configuration))
     values["map"]["gravity"] = 9.81
-    from roughmap_service.engine.recovery import check_identity
+    from roughmap_service.engine.newest_run import check_identity
 
     with pytest.raises(IdentityError, match="another version"):
         check_identity(config(), values, logs)

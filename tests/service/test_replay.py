@@ -127,7 +127,7 @@ def test_nothing_is_written_after_a_difference(logs: Path, tmp_path: Path) -> No
     rewrite(file, nth("/points", 1, lambda _: cloud(1.05, points=MOVED)))
     code, last, told = replay(logs, "-o", tmp_path / "map.db", "--log-out", tmp_path / "new")
     assert (code, last.split(":")[0]) == (1, "differs at sequence 2 (checkpoint)")
-    assert "nothing else was done" in told
+    assert "the other options were not carried out" in told
     assert not (tmp_path / "map.db").exists()
     assert not (tmp_path / "new").exists()
 
@@ -136,7 +136,7 @@ def test_what_is_no_whole_run_is_refused(logs: Path, tmp_path: Path) -> None:
     three_files(logs)
     files = sorted(logs.glob("*.mcap"))
     refused(replay(files[0], files[2]), "gap: file 1 of run")
-    refused(replay(files[1], files[2]), "(sequence 2), not where the run does")
+    refused(replay(files[1], files[2]), "(sequence 2), not at the beginning of the run")
     shutil.copy(files[1], tmp_path / "copy.mcap")
     refused(replay(logs, tmp_path / "copy.mcap"), "are both file 1 of run")
     with LoggedRun(tmp_path / "other") as other:
@@ -166,7 +166,7 @@ def test_a_store_that_holds_the_whole_log_leaves_nothing_to_compare(logs: Path, 
     with LoggedRun(logs, store=Store(tmp_path / "map.db")) as run:
         drive(run)
         run.snapshot()
-    told = f"{tmp_path / 'map.db'} holds all of this log already (sequence 3): nothing is left to compare"
+    told = f"{tmp_path / 'map.db'} already contains all of this log (sequence 3), so there is nothing to compare"
     refused(replay("--from", tmp_path / "map.db", logs), told)
 
 

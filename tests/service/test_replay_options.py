@@ -44,7 +44,7 @@ def test_from_a_store(logs: Path, tmp_path: Path) -> None:
     refused(replay(logs, "--from", store.path, "--what-if", "map.cell_size=0.2"), "--what-if needs the whole run")
     with LoggedRun(tmp_path / "other") as other:
         drive(other, 0, 1)
-    refused(replay(tmp_path / "other", "--from", store.path), "is of run")
+    refused(replay(tmp_path / "other", "--from", store.path), "belongs to run")
 
 
 def test_a_store_that_is_not_in_the_log_gives_another_map(logs: Path, tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_a_log_goes_to_an_empty_folder_only_and_that_is_seen_first(logs: Path, t
     assert "replay:" not in outcome[2], "nothing was replayed before"
     (tmp_path / "map.db").touch()
     outcome = replay(logs, "-o", tmp_path / "map.db")
-    refused(outcome, "is there already")
+    refused(outcome, "exists; name another file")
     assert "replay:" not in outcome[2]
     (tmp_path / "new").mkdir()
     assert replay(logs, "--log-out", tmp_path / "new")[0] == 0
@@ -170,7 +170,7 @@ def test_a_store_that_the_logs_dont_go_on_from(logs: Path, tmp_path: Path) -> No
     assert cut is not None
     with RoughMap() as empty, empty.freeze() as frozen:
         store.write(with_values(cut, configuration_digest="0" * 32), frozen, None)
-    refused(replay(logs, "--from", store.path), "maps of other settings")
+    refused(replay(logs, "--from", store.path), "different settings in [map]")
     refused(replay(logs, "--from", logs.parent / "empty.db"), "empty.db")
     (logs.parent / "text.db").write_text("no SQLite file" * 100)
     refused(replay(logs, "--from", logs.parent / "text.db"), "text.db")

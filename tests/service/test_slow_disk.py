@@ -20,9 +20,10 @@ from spill_tools import leave
 from roughmap.tiles.slots import SLOT_BYTES
 from roughmap_schemas import IntegrationEvent, decode_event
 from roughmap_schemas.kinds import Kind
-from roughmap_service.answers.emptied import Emptied
-from roughmap_service.answers.tile_reply import Identity
-from roughmap_service.answers.tiles import Reader
+from roughmap_service.answers.map_reader import MapReader
+from roughmap_service.answers.reset_history import ResetHistory
+from roughmap_service.answers.served_map import ServedMap
+from roughmap_service.answers.tiles import TileQueries
 from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.recovery import recover
 from roughmap_service.engine.sequencer import Intervals, Sequencer
@@ -32,7 +33,7 @@ from roughmap_service.offline.replay import replay
 from roughmap_service.store.map_db import Store
 from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.spill import Spill
-from roughmap_service.watch.status import Progress, Status
+from roughmap_service.watch.status import RunProgress, Status
 
 NEAR, FAR, FARTHER, FARTHEST = 0, 10, 20, 30
 """Tiles, each alone: the first is in memory, the others are not."""
@@ -81,9 +82,9 @@ class Service:
         self.decided: Gathered[IntegrationEvent] = Gathered()
         self.digests = {x: d.tobytes().hex() for x, d in zip(*self.map.tile_digests()[::2], strict=True)}
         self._intake, counters = InputQueue(1 << 20, Counters()), Counters()
-        identity = Identity("site", run.run_id, "0" * 32, "0" * 32, "map")
-        self._reader = Reader(run.view, run.keys, run.config, identity, Emptied(1000))
-        self.status = Status(run.view, counters, run.config, identity, "1", Progress)
+        served = ServedMap("site", run.run_id, "0" * 32, "0" * 32, "map")
+        self._queries = TileQueries(MapReader(run.view, run.keys, run.config, served, ResetHistory(1000)))
+        self.status = Status(run.view, counters, run.config, served, "1", RunProgress)
         self._taken = 0
         self._memory = MemoryLimit(1 << 20, spill, measure=lambda: self._taken)
         live = LiveRun(run.run, run.view, run.writer, run.recorder, counters, self._memory, self._hear)
@@ -119,10 +120,11 @@ class Service:
 
     def tell(self, *tiles: int) -> int:
         """Ask for these tiles as a planner does; how many came."""
-        sent: list[object] = []
+        found = 0
         for x in tiles:
-            self._reader.tiles(f"maps/site/tiles/0/{x}/0", "layers=count").answer(lambda *reply: sent.append(reply))
-        return len(sent)
+            with self._queries.plan(f"maps/site/tiles/0/{x}/0", "layers=count").read() as answer:
+                found += len(list(answer.replies))
+        return found
 
     def digest(self, tile: int) -> str:
         """Of the tile's bytes."""

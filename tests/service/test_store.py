@@ -110,7 +110,7 @@ def test_a_damaged_stamp_is_named(store: Store, ground: RoughMap, change: str) -
 
 def test_what_is_no_store(store: Store, ground: RoughMap) -> None:
     store.path.write_bytes(b"holiday pictures " * 100)
-    with pytest.raises(StoreError, match=r"map\.db: .* no map\.db"):
+    with pytest.raises(StoreError, match=r"map\.db: .* not a map\.db"):
         store.read_cut()
     store.path.write_bytes(b"")  # as a kill leaves it between the file and its tables
     assert store.read_cut() is None
@@ -139,5 +139,5 @@ def test_set_aside_whole(store: Store, ground: RoughMap) -> None:
 def test_a_file_that_is_no_store_is_named_with_its_mend(tmp_path: Path) -> None:
     path = tmp_path / "map.db"
     path.write_bytes(b"no database" * 1000)
-    with pytest.raises(StoreError, match=r"map\.db: .*; it is no map\.db, or damaged: .*move it away"):
+    with pytest.raises(StoreError, match=r"map\.db: .*; not a map\.db, or damaged: .*move the file away"):
         Store(path).read_cut()

@@ -64,5 +64,5 @@ def test_a_start_that_takes_long_says_why(caplog: pytest.LogCaptureFixture, monk
     monkeypatch.setattr(warmup, "note", lambda *args: (logging.getLogger().warning("%s: %s", *args[2:]), told.set()))
     monkeypatch.setattr(warmup, "_run", lambda _config, _stop: told.wait(30))
     warm_up(Config(), threading.Event())
-    assert caplog.messages == ["compiling: kernels are compiled, once: this takes a minute or more"]
+    assert caplog.messages == ["compiling: compiling kernels, once; this takes a minute or more"]
     assert not [thread for thread in threading.enumerate() if isinstance(thread, threading.Timer) and thread.is_alive()]

@@ -1,8 +1,10 @@
-"""Single cells, asked by place: what the map keeps of each, and what it says of it."""
+"""Queries of ``maps/{map}/cells``: single cells by place, with their records and layers."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import numpy.typing as npt
-import zenoh
 
 from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT
 from roughmap.reading.frozen import FrozenMap
@@ -11,24 +13,25 @@ from roughmap_schemas.faults import QueryFault
 from roughmap_schemas.messages import CellAnswer, CellEntry, CellState, model_bytes
 from roughmap_schemas.reasons import QueryCode
 from roughmap_schemas.selectors import CellsQuery
-from roughmap_service.answers.tiles import INT32, TILE_AREA, Outcome, Plan, Reader, Send
+from roughmap_service.answers.map_reader import MapReader
+from roughmap_service.answers.plan import INT32, TILE_AREA, Answer, Plan, Reply
 
 Cells = npt.NDArray[np.int64]
 
 ENCODING = json_encoding("CellAnswer")
 
 
-def plan_cells(reader: Reader, parameters: str, payload: zenoh.ZBytes | None) -> Plan:
-    """A query of ``maps/{map}/cells``; raises QueryFault."""
-    asked = CellsQuery.parse(parameters, b"" if payload is None else payload.to_bytes())
+def plan_cells(reader: MapReader, parameters: str, payload: bytes) -> Plan:
+    """Return the plan of a query; raise QueryFault."""
+    asked = CellsQuery.parse(parameters, payload)
     cells = _cells(asked, reader.cell_size)
     tiles = np.unique(cells >> TILE_SHIFT, axis=0)
-    return Plan(len(tiles) * TILE_AREA, lambda send: _answer(reader, asked, cells, send))
+    return Plan(len(tiles) * TILE_AREA, lambda: _read(reader, asked, cells))
 
 
 def _cells(asked: CellsQuery, cell_size: float) -> Cells:
-    """(N, 2): the cells i, j = floor(x / a), floor(y / a) of the places."""
-    with np.errstate(over="ignore"):  # what overflows is no int32 either
+    """Return the (N, 2) cells i, j = floor(x / a), floor(y / a) of the places; raise QueryFault."""
+    with np.errstate(over="ignore"):  # an overflow is outside int32 as well
         cells = np.floor(np.array(asked.points, np.float64).reshape(-1, 2) / cell_size)
     outside = ~((cells >= -INT32) & (cells < INT32)).all(axis=1)
     if outside.any():
@@ -37,14 +40,16 @@ def _cells(asked: CellsQuery, cell_size: float) -> Cells:
     return cells.astype(np.int64)
 
 
-def _answer(reader: Reader, asked: CellsQuery, cells: Cells, send: Send) -> Outcome:
+@contextmanager
+def _read(reader: MapReader, asked: CellsQuery, cells: Cells) -> Iterator[Answer]:
+    """Read the tiles of the cells, and answer with one reply."""
     tolerance = reader.tolerance if asked.tolerance is None else asked.tolerance
     limits = reader.limits if asked.limits is None else asked.limits
     tiles = cells >> TILE_SHIFT
     low, high = (tiles.min(axis=0), tiles.max(axis=0)) if len(tiles) else (np.zeros(2, int), np.zeros(2, int))
     box = int(low[0]), int(low[1]), int(high[0]), int(high[1])
-    with reader.frozen([(0, box)]) as cut:
-        frozen = cut.levels[0]
+    with reader.frozen([(0, box)]) as state:
+        frozen = state.levels[0]
         entries: list[CellEntry | None] = [None] * len(cells)
         distinct, which = np.unique(tiles, axis=0, return_inverse=True)
         order = np.argsort(which.ravel(), kind="stable")
@@ -63,18 +68,17 @@ def _answer(reader: Reader, asked: CellsQuery, cells: Cells, send: Send) -> Outc
                     layers={name: float(plane[row, column]) for name, plane in layers.items()},
                 )
     answer = CellAnswer(
-        map=reader.identity.map,
-        instance=reader.identity.instance,
-        epoch=cut.epoch,
-        sequence=cut.sequence,
+        map=reader.served.map,
+        instance=reader.served.instance,
+        epoch=state.epoch,
+        sequence=state.sequence,
         cells=[entry for entry in entries if entry is not None],
     )
-    send(reader.keys.cells, model_bytes(answer), ENCODING)
-    return Outcome(1, cut.sequence)
+    yield Answer(state.sequence, [Reply(reader.keys.cells, model_bytes(answer), ENCODING)])
 
 
 def _state(frozen: FrozenMap, x: int, y: int, row: int, column: int) -> CellState | None:
-    """A cell's record; None if it was never hit."""
+    """Return a cell's record; None if no point ever hit it."""
     record = frozen.records(x, y)[row, column]
     if record["count"] == 0:
         return None

@@ -1,4 +1,4 @@
-"""Queries that wait for their turn: bounded together, small ones before large ones, none starved."""
+"""Planned queries that wait for a worker: bounded together, small before large, none starved."""
 
 import bisect
 import logging
@@ -13,15 +13,15 @@ from typing import Self
 from roughmap_schemas.faults import QueryFault
 from roughmap_schemas.reasons import QueryCode
 
-LOG = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 SMALL_CELLS = 16 * 4096
-"""A query of at most so many cells (16 tiles: what a planner asks around its robot) is small. One worker serves only
-these, so that readers of whole maps, or ones that stopped reading, can't hold all workers."""
+"""Cells of the largest small query: 16 tiles, what a planner asks for around its robot. One worker serves only small
+queries, so that readers of whole maps, or readers that stalled, cannot occupy all workers."""
 
 CELLS_A_PLACE = SMALL_CELLS
-"""A query waits as if one more had come before it for each so many cells: small before large, yet a large one is
-passed by a bounded number of later ones."""
+"""For every 16 tiles a query waits as if it had arrived one query later. So small queries go first, yet only a bounded
+number of later queries passes a large one."""
 
 
 @dataclass(order=True)
@@ -36,11 +36,12 @@ class _Waiting:
 class AnswerQueue:
     """A few threads that run jobs of known size.
 
-    At most ``limit`` jobs wait, and the jobs that run hold at most ``max_running_cells`` cells together (a larger one
-    runs alone). A job's ``run`` must handle its own errors; one that can't be run is told by its ``refuse``.
+    At most ``limit`` jobs wait. Running jobs hold at most ``max_running_cells`` cells together; a larger job runs
+    alone. A job's ``run`` must handle its own errors; ``refuse`` is called for a job that cannot run.
     """
 
     def __init__(self, name: str, workers: int, limit: int, max_running_cells: int) -> None:
+        self._name = name
         self._limit = limit
         self._max_running_cells = max_running_cells
         self._condition = threading.Condition()
@@ -49,12 +50,12 @@ class AnswerQueue:
         self._running_cells = 0
         self._closed = False
         self._end = math.inf
-        # Daemons: one that is stuck in a reply to a client that stopped reading must not hold up the process's end.
+        # Daemons: a thread that is stuck in a reply to a stalled client must not keep the process from ending.
         self._threads = [
             threading.Thread(target=self._work, args=(n == 0 and workers > 1,), name=f"{name}-{n}", daemon=True)
             for n in range(workers)
         ]
-        # At the end one more, since jobs may hold all others; and the caller must not wait for an asker that stalls.
+        # Refuses waiting jobs at shutdown: jobs may occupy all workers, and `close` must not wait for a stalled client.
         self._refuser = threading.Thread(target=self._work, args=(False,), name=f"{name}-end", daemon=True)
 
     def __enter__(self) -> Self:
@@ -74,11 +75,11 @@ class AnswerQueue:
             return len(self._waiting)
 
     def submit(self, cells: int, run: Callable[[], None], refuse: Callable[[QueryFault], None]) -> None:
-        """Takes a job in; raises ``QueryFault`` (``busy``, ``shutting_down``) at once if it can't.
+        """Queue a job; raise QueryFault (``busy``, ``shutting_down``) at once if it cannot be queued.
 
-        Where too many wait, the last of them goes: a small job takes the place of a large one.
+        If the queue is full, the job that ranks last is refused: a small job takes the place of a large one.
         """
-        busy = QueryFault(QueryCode.BUSY, f"{self._limit} queries are waiting already; ask again later")
+        busy = QueryFault(QueryCode.BUSY, f"{self._limit} queries already wait (query.queue_limit); ask again later")
         last = None
         with self._condition:
             if self._closed:
@@ -88,17 +89,17 @@ class AnswerQueue:
                 if not self._waiting or self._waiting[-1] <= job:
                     raise busy
                 last = self._waiting.pop()
-            self._number += 1  # those alone that wait: else who is turned away a hundred times makes all others late
+            self._number += 1  # counts queued jobs only: a client that is refused in a loop must not delay others
             bisect.insort(self._waiting, job)
-            # Any worker may take a small one; to wake them all costs as much as a small answer.
+            # Any worker may take a small job; waking all of them costs as much as a small answer.
             self._condition.notify(1 if cells <= SMALL_CELLS else len(self._threads))
         if last is not None:
             last.refuse(busy)
 
     def close(self, timeout: float = 2.0) -> None:
-        """Has what waits refused (``shutting_down``), and waits at most ``timeout`` seconds for that and for what runs.
+        """Refuse waiting jobs (``shutting_down``); wait at most ``timeout`` seconds for that and for running jobs.
 
-        A second call waits for no longer than the first.
+        A second call does not extend the wait.
         """
         with self._condition:
             first, self._closed = not self._closed, True
@@ -111,12 +112,12 @@ class AnswerQueue:
                 thread.join(max(0.0, self._end - time.monotonic()))
 
     def _take(self, small_only: bool) -> _Waiting | None:
-        """The first job in rank that may run now, any after the end; called with the condition held."""
+        """Return the first job in rank that may run now (after `close`, any job); the condition must be held."""
         if self._closed:
             return self._waiting.pop(0) if self._waiting else None
         for place, job in enumerate(self._waiting):
             fits = (
-                not job.cells  # such a one holds nothing back, and waits for nobody
+                not job.cells  # reads no cells, so the bound does not concern it
                 or self._running_cells == 0
                 or self._running_cells + job.cells <= self._max_running_cells
             )
@@ -125,7 +126,7 @@ class AnswerQueue:
                     passed.passed += 1
                 return self._waiting.pop(place)
             if job.passed > self._limit and (not fits or self._running_cells == 0):
-                return None  # it was passed often enough: let the others end, and another worker take it
+                return None  # passed often enough: wait until it fits or another worker takes it
         return None
 
     def _work(self, small_only: bool) -> None:
@@ -144,11 +145,11 @@ class AnswerQueue:
                     job.refuse(QueryFault(QueryCode.SHUTTING_DOWN, "the service is shutting down"))
                 else:
                     job.run()
-            except Exception:  # the thread must outlive it: with each one lost, fewer would answer until none did
-                LOG.exception("an answer failed beyond its own care")
+            except Exception:  # a thread that ended would be missing until the next start
+                logger.exception("a job of the %s queue failed", self._name)
             finally:
                 with self._condition:
                     self._running_cells -= job.cells
                     if self._waiting:
                         self._condition.notify_all()
-                del job  # the closure holds the query: it ends for the asker only when it is let go
+                del job  # its closure holds the query, which ends for the client only when it is released

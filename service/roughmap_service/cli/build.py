@@ -1,4 +1,4 @@
-"""`roughmap build`: a map.db from recorded clouds, through the same integration as live, without a service."""
+"""`roughmap build`: make a map.db from recorded clouds, integrated as a service would."""
 
 import json
 import time
@@ -13,7 +13,7 @@ from roughmap_service.cli.options import BadUse, config_options, json_option, lo
 
 if TYPE_CHECKING:
     from roughmap import AddReport, RoughMap
-    from roughmap_service.formats.clouds_in import PlacedPoints, RecordedScan
+    from roughmap_service.formats.recorded import PlacedPoints, RecordedScan
     from roughmap_service.run.settings import Settings
 
 
@@ -22,12 +22,17 @@ if TYPE_CHECKING:
 @click.option(
     "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="The map.db to write."
 )
-@click.option("--force", is_flag=True, help="Replace OUTPUT if it is there.")
-@click.option("--sensor", default="lidar", show_default=True, help="Which [sensors.FRAME] gives scans their noise.")
+@click.option("--force", is_flag=True, help="Replace an existing OUTPUT.")
+@click.option(
+    "--sensor",
+    default="lidar",
+    show_default=True,
+    help="Sensor of the scans: the FRAME of a configured [sensors.FRAME].",
+)
 @click.option(
     "--range-sigma",
     type=click.FloatRange(0, 10, min_open=True),
-    help="Metres; in place of a configured sensor, its only noise.",
+    help="Range noise in metres, for scans of a sensor that is not configured.",
 )
 @config_options
 @json_option
@@ -41,16 +46,20 @@ def build(
     settings: tuple[tuple[str, object], ...],
     as_json: bool,
 ) -> None:
-    """roughmap build points.xyz -o map.db
+    """echo '0 0 1.5' > points.xyz && roughmap build points.xyz -o map.db
 
-    Make a map from files, in the order given, and store it for `roughmap serve` (with `store.path`) to go on from.
-    A file to try it with: `printf '%s\\n' '0 0 1.0' '0.1 0 1.1' '0.2 0 1.3' > points.xyz`.
+    Make a map from recorded clouds, in the order given. `roughmap serve` continues from it if `store.path` names it.
 
-    .npz holds `points` (N, 3), whole numbers being millimetres: either scans in the sensor's frame with
-    `scan_start` (K + 1), `pose` (K, 4, 4, sensor in map) and `stamp_s` or `stamp_ns` (K); or points in the map frame,
-    with `covariance` and `stamp_ns` if known.
+    \b
+    .xyz .csv .txt .asc   points in the map frame, one per line, in metres: the columns
+                          named x, y and z, or the first three
+    .npz                  `points` (N, 3), in metres, or in millimetres if integer;
+                          with `scan_start` (K + 1) and `pose` (K, 4, 4; sensor in map)
+                          they are K scans in the sensor's frame, else points in the
+                          map frame. Optional: stamps, as `stamp_s` or `stamp_ns` (K)
+                          of scans and as `stamp_ns` (1 or N) of points; `covariance`
+                          (3, 3) or (N, 3, 3) of points
 
-    .xyz, .csv, .txt, .asc hold points in the map frame, one a line: the columns named x, y, z, else the first three.
     Points in the map frame without a covariance get `input.placed_sigma`.
     """
     from roughmap_schemas.config import configuration_digest
@@ -59,7 +68,7 @@ def build(
 
     config = load(config_path, settings).config
     if output.exists() and not force:
-        raise BadUse(f"{output} is there already: choose another name, or --force to replace it")
+        raise BadUse(f"{output} exists; choose another name, or use --force to replace it")
     begun = time.monotonic()
     built = new_map(config)
     points, rejected = _fill(built, clouds, Settings(config), sensor, range_sigma)
@@ -93,11 +102,11 @@ def build(
 def _fill(
     built: "RoughMap", clouds: tuple[Path, ...], settings: "Settings", sensor: str, range_sigma: float | None
 ) -> tuple[int, dict[str, int]]:
-    """Integrate all files; returns how many points they held, and the rejected by reason."""
+    """Integrate all files; return the number of points and the rejected ones by reason."""
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from roughmap_service.formats.clouds_in import read_cloud
+    from roughmap_service.formats.clouds import read_cloud
 
     points = 0
     rejected: Counter[str] = Counter()
@@ -125,8 +134,7 @@ def _add(
     import numpy as np
 
     from roughmap import Limits, Noise, Scan, Trajectory
-    from roughmap_service.formats.clouds_in import PlacedPoints
-    from roughmap_service.simulation.playing import rotation_of
+    from roughmap_service.formats.recorded import PlacedPoints
 
     if isinstance(part, PlacedPoints):
         covariance = settings.placed_covariance if part.covariance is None else part.covariance
@@ -136,10 +144,12 @@ def _add(
     else:
         configured = settings.sensor("", sensor)
         if configured is None:
-            raise BadUse(f"no [sensors.{sensor}] is configured: give its file with -c, or --range-sigma METRES")
+            raise BadUse(
+                f"[sensors.{sensor}] is not configured: add it to the configuration, or use --range-sigma METRES"
+            )
         noise, limits = configured.noise, configured.limits
-    # The recorded pose is the sensor's own, so robot and sensor are one and the mounting is no part of it.
+    # The recorded pose is the sensor's, so the sensor's place on the robot does not matter.
     trajectory = Trajectory(
-        np.array([part.stamp_ns]), part.pose[None, :3, 3], rotation_of(part.pose)[None], settings.pose_covariance[None]
+        np.array([part.stamp_ns]), part.position[None], part.rotation[None], settings.pose_covariance[None]
     )
     return built.add_scan(Scan(part.points, part.stamp_ns), trajectory, noise, limits)

@@ -1,6 +1,7 @@
-"""`roughmap config`: what holds, whence it came, whether it is allowed, and what could be set."""
+"""`roughmap config`: show, check and describe the configuration."""
 
 import json
+from importlib.resources import files
 from pathlib import Path
 
 import click
@@ -14,18 +15,27 @@ Settings = tuple[tuple[str, object], ...]
 def config() -> None:
     """roughmap config show
 
-    Show, check or describe the configuration. It is put together from a TOML file (-c, else ./roughmap.toml),
-    then the environment (ROUGHMAP_MAP__CELL_SIZE=0.2), then --set; each goes over the one before.
+    Show, check or describe the configuration. Settings come from a TOML file (-c, or ./roughmap.toml), from the
+    environment (for example ROUGHMAP_MAP__CELL_SIZE=0.2) and from --set; later ones override earlier ones.
     """
 
 
-@config.command(short_help="every setting that holds, and whence it came")
+@config.command(short_help="configuration file to begin with")
+def example() -> None:
+    """roughmap config example > roughmap.toml
+
+    Print a configuration file to begin with. It describes the sensor of `roughmap simulate`; replace it with yours.
+    """
+    click.echo(files("roughmap_service.cli").joinpath("example.toml").read_text(encoding="utf-8"), nl=False)
+
+
+@config.command(short_help="effective settings and where each comes from")
 @config_options
 @json_option
 def show(config_path: Path | None, settings: Settings, as_json: bool) -> None:
     """roughmap config show
 
-    Every setting that holds, and whence it came; secrets are hidden.
+    Show the effective settings and where each comes from. Secrets are hidden.
     """
     loaded = load(config_path, settings)
     values = flat(loaded.config.public_dict())
@@ -39,13 +49,13 @@ def show(config_path: Path | None, settings: Settings, as_json: bool) -> None:
         click.echo(f"{texts[key]:{width}}  # {source}")
 
 
-@config.command(short_help="whether a service could start with it")
+@config.command(short_help="whether the configuration is valid")
 @config_options
 @json_option
 def check(config_path: Path | None, settings: Settings, as_json: bool) -> None:
     """roughmap config check
 
-    Exit 0 if a service could start with this configuration, 2 and one line if not.
+    Check the configuration. Exit code 0 if it is valid; 2, with one line that names the error, if it is not.
     """
     from roughmap_schemas.config import configuration_digest
 
@@ -55,15 +65,15 @@ def check(config_path: Path | None, settings: Settings, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps({"ok": True, "path": source, "configuration_digest": digest}))
         return
-    sensors = ", ".join(sorted(loaded.config.sensors)) or "none (only clouds in the map's own frame are taken)"
+    sensors = ", ".join(sorted(loaded.config.sensors)) or "none (only clouds in the map's own frame are accepted)"
     click.echo(f"{source}: ok; map {loaded.config.map.name!r}; sensors: {sensors}; configuration digest {digest}")
 
 
-@config.command(short_help="its JSON Schema: all that could be set")
+@config.command(short_help="JSON Schema: all settings, types, defaults")
 def schema() -> None:
     """roughmap config schema
 
-    The configuration's JSON Schema: every key, its type, its default and what is allowed.
+    Print the JSON Schema of the configuration: every setting with its type, default and allowed values.
     """
     from roughmap_schemas.export import texts
 
@@ -71,7 +81,7 @@ def schema() -> None:
 
 
 def flat(nested: dict[str, object], prefix: str = "") -> dict[str, object]:
-    """Dotted keys for nested tables; a table without keys stands for itself."""
+    """Return nested tables as one table with dotted keys; an empty table is a value."""
     found: dict[str, object] = {}
     for key, value in nested.items():
         if isinstance(value, dict) and value:

@@ -1,4 +1,4 @@
-"""A session with a running service, for the commands that ask or feed one."""
+"""A Zenoh session with a running service, for the commands that query or feed it."""
 
 import json
 import re
@@ -16,17 +16,17 @@ from roughmap_service.host.exposure import is_encrypted
 from roughmap_service.inputs.session import zenoh_config
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-"""Where `serve` listens unless told otherwise, so that the commands find it without an option."""
+"""Where `serve` listens by default, so that the commands find it without an option."""
 
 TRY_S = 2.0
-"""How long one try to connect may take: a signal is heeded between two."""
+"""Seconds of one attempt to connect; a signal is handled between two attempts."""
 
 
 def client_config(loaded: LoadedConfig, connect: Sequence[str], file: Path | None = None) -> zenoh.Config:
-    """A client by a zenoh file, or else with the certificates, user and password of the service's own settings.
+    """Return a client's Zenoh configuration: from ``file``, or with the certificates, user and password of [zenoh].
 
-    It connects to ``connect``; else to where the file says, or where the configured service listens, if its ports are
-    known, or to the router it joins. ConfigFault for a file that can't be used.
+    The endpoint is the first that is given of: ``connect``; the file's; where the configured service listens, unless
+    its port is 0; the router that the service connects to; `DEFAULT_ENDPOINT`. ConfigFault for a bad file.
     """
     config = read_zenoh_file(file, "--zenoh") if file is not None else zenoh_config(loaded)
     known = [reachable(one) for one in endpoints_of(config, "listen") if not re.search(r":0([?#]|$)", one)]
@@ -44,7 +44,7 @@ def client_config(loaded: LoadedConfig, connect: Sequence[str], file: Path | Non
 
 
 def open_client(config: zenoh.Config, timeout: float) -> zenoh.Session:
-    """The session. Failure, in one line, if the service isn't there within ``timeout`` seconds."""
+    """Open a session; Failure if nothing answers within ``timeout`` seconds."""
     until = time.monotonic() + timeout
     while True:
         left = max(until - time.monotonic(), 0.1)
@@ -62,18 +62,23 @@ def open_client(config: zenoh.Config, timeout: float) -> zenoh.Session:
 
 
 def if_guarded(config: zenoh.Config) -> str:
-    """What else may be behind silence where access is guarded, to put after a question; nothing where it is not."""
+    """Return a hint at access control to append to a question; "" where the session shows and needs no identity."""
     user = setting(config, "transport/auth/usrpwd/user")
     certificate = setting(config, "transport/link/tls/connect_certificate")
     if certificate or user:
         shown = certificate or f"the user {user!r}"
-        return f" Or does it not let {shown} in, or not do this? Denials are silent (SECURITY.md)"
-    if wants_certificate(config):
-        return " Or does it want a certificate? None is set to connect with: --zenoh docker/access/planner.json5"
+        return f" Or is {shown} not allowed to do this? Zenoh denies silently (SECURITY.md)"
+    if lacks_certificate(config):
+        return (
+            " Or does it require a certificate? None is configured; pass one, as in --zenoh docker/access/planner.json5"
+        )
     return ""
 
 
-def wants_certificate(config: zenoh.Config) -> bool:
-    """It connects by TLS and has nothing to show: so do the settings of a router, which has a certificate to listen."""
+def lacks_certificate(config: zenoh.Config) -> bool:
+    """Tell whether the session connects by TLS without certificate or user.
+
+    The settings of a router are such: its certificate is only for listening.
+    """
     shown = any(setting(config, f"transport/{path}") for path in ("link/tls/connect_certificate", "auth/usrpwd/user"))
     return not shown and any(map(is_encrypted, endpoints_of(config, "connect")))

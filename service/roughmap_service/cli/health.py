@@ -1,5 +1,7 @@
-"""`roughmap health`: does the service of this configuration work? One line, exit 0 or 1: what a container's health
-check runs, so nothing heavy is loaded while http is on."""
+"""`roughmap health`: check that the service of this configuration works.
+
+Containers run it every few seconds, so it imports nothing heavy while http is on.
+"""
 
 import http.client
 import json
@@ -13,15 +15,15 @@ from roughmap_schemas.config_load import LoadedConfig
 from roughmap_service.cli.options import Failure, config_options, json_option, load, reachable
 from roughmap_service.host.log_lines import printable
 from roughmap_service.http.token import HttpError, token_of
-from roughmap_service.watch.readiness import HINDERS_NOTHING, Problem
+from roughmap_service.watch.readiness import NOT_BLOCKING, Problem
 
 TIMEOUT_S = 3.0
 
-WORKS = {str(problem) for problem in (Problem.OVERLOADED, *HINDERS_NOTHING)}
-"""With these a service works: a restart, which a failed check may bring about, would better nothing."""
+WORKS = {str(problem) for problem in (Problem.OVERLOADED, *NOT_BLOCKING)}
+"""Problems with which a service still works. A failed check may restart the service, which would not help here."""
 
 MAX_ANSWER = 1 << 16
-"""Bytes of an answer that are read: whatever sends more is no readiness page."""
+"""Bytes of an answer that are read; a readiness page is smaller."""
 
 
 @click.command
@@ -30,10 +32,12 @@ MAX_ANSWER = 1 << 16
 def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], as_json: bool) -> int:
     """roughmap health
 
-    Exit 0 if the service of this configuration works, 1 if it is not there, not ready or can't write its log; one line
-    says which. An overloaded service works: it keeps what it can and counts the rest. So does one whose store fails:
-    the log holds all. Asks the page /readyz; or over Zenoh, where http.listen is off or on a port that the system
-    chooses, where every `degraded` is a failure since no cause is told.
+    Check that the service of this configuration works, and print one line. Exit code 0 if it works; 1 if it is not
+    reachable, not ready or can't write its log. An overloaded service works, and so does one that can't write its
+    store: its log has everything.
+
+    The check reads the page /readyz. If http.listen is off or its port is 0, it asks over Zenoh; the status there has
+    no causes, so any `degraded` is a failure.
     """
     loaded = load(config_path, settings)
     config = loaded.config
@@ -47,13 +51,13 @@ def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], a
     if as_json:
         click.echo(json.dumps({"works": works, "map": config.map.name, "problems": problems}))
     else:
-        told = "; ".join(f"{name}: {cause}" if cause else name for name, cause in problems.items())
-        click.echo(printable(f"{config.map.name}: {told or 'ok'}"))
+        shown = "; ".join(f"{name}: {cause}" if cause else name for name, cause in problems.items())
+        click.echo(printable(f"{config.map.name}: {shown or 'ok'}"))
     return 0 if works else 1
 
 
 def served_map(config: Config) -> str | None:
-    """The name of the map whose service answers on http.listen; None if none does."""
+    """Return the name of the map whose service answers on http.listen; None if none does."""
     try:
         answer = _page(config, "/healthz")
         return str(answer["map"])
@@ -62,7 +66,7 @@ def served_map(config: Config) -> str | None:
 
 
 def _ask_page(config: Config) -> dict[str, str]:
-    """The problems that the readiness page tells."""
+    """Return the problems on the readiness page, each with its cause."""
     try:
         problems: dict[str, str] = dict(_page(config, "/readyz")["problems"])
     except (ValueError, LookupError, TypeError):
@@ -71,11 +75,11 @@ def _ask_page(config: Config) -> dict[str, str]:
 
 
 def _no_service(where: str) -> Failure:
-    return Failure(f"what answers on http://{where} is no roughmap service; is http.listen right?")
+    return Failure(f"what answers on http://{where} is not a roughmap service; check http.listen")
 
 
 def _page(config: Config, path: str) -> Any:
-    """What a page answers, as JSON; Failure if nobody does, or nothing that is JSON."""
+    """Return a page's JSON; Failure if nothing answers, or not with JSON."""
     where = reachable(config.http.listen or "")
     token = token_of(config.http)
     headers = {"Authorization": f"Bearer {token.decode()}"} if token else {}
@@ -92,7 +96,7 @@ def _page(config: Config, path: str) -> Any:
 
 
 def _ask_status(loaded: LoadedConfig) -> dict[str, str]:
-    """The problems that the status over Zenoh tells."""
+    """Return the problems in the status over Zenoh, most without a cause."""
     from roughmap_client import RoughMapClient
     from roughmap_client.errors import RoughMapError
     from roughmap_service.cli.connection import client_config, if_guarded, open_client
@@ -103,12 +107,12 @@ def _ask_status(loaded: LoadedConfig) -> dict[str, str]:
             client = RoughMapClient(config.map.name, session=session, timeout=TIMEOUT_S, keys=config.keys)
             status = client.status()
         except RoughMapError as error:
-            told = f"is the map {config.map.name!r} served there?{if_guarded(zenoh_config)}"
-            raise Failure(f"{error}; {told}") from None
+            hint = f"is the map {config.map.name!r} served there?{if_guarded(zenoh_config)}"
+            raise Failure(f"{error}; {hint}") from None
     if status.health == "ok":
         return {}
     if status.health == "overloaded":
         return {str(Problem.OVERLOADED): ""}
     if not status.log.ok:
         return {str(Problem.LOG_NOT_WRITABLE): "the log can't be written"}
-    return {str(status.health): "its log lines and, where http.listen is on, /readyz name the cause"}
+    return {str(status.health): "the cause is in its log lines and, if http.listen is on, on /readyz"}

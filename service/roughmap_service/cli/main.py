@@ -1,7 +1,7 @@
 """The `roughmap` command: finds the subcommand, and turns errors into one line and an exit code.
 
-A command is loaded when it is named, so that `roughmap --help` needs none of numba, zenoh or matplotlib. Exit
-codes: 0 done; 1 it failed; 2 bad use, a bad setting or bad input; 130 interrupted.
+Only the named subcommand is imported, so that `roughmap --help` loads none of numba, zenoh and matplotlib. Exit codes:
+0 success; 1 failure; 2 bad usage, setting or input; 130 interrupted.
 """
 
 import importlib
@@ -13,22 +13,23 @@ from importlib.metadata import version
 import click
 
 COMMANDS = {
-    "serve": "keep one map: scans and poses in, tiles out, everything logged",
-    "demo": "the whole job on this machine: service, rover, planner, replay, pictures",
-    "simulate": "a rover on known ground that publishes scans and poses",
-    "replay": "integrate a log again and compare it with what was logged",
-    "query": "ask a running service for a region: table, PNG, NPZ",
-    "top": "watch a running service: rates, lag, rejections, robots, memory",
-    "health": "does the service work? one line, exit 0 or 1",
-    "doctor": "would it work here? configuration, machine, network, robots",
+    "demo": "run service, rover, planner and replay on this machine; draw the map",
+    "serve": "run the mapping service",
+    "simulate": "publish the scans and poses of a simulated rover, or recorded scans",
+    "query": "get a region of a running service's map as a table, PNG or NPZ",
+    "top": "watch a running service in the terminal",
+    "health": "check that the service works; exit code 0 or 1",
+    "doctor": "check configuration, machine, network and robots",
+    "replay": "integrate a log again and compare with the logged results",
     "build": "make a map.db from recorded clouds, without a service",
     "config": "show, check or describe the configuration",
 }
-"""Name -> what `roughmap --help` says of it. The command is the function of that name in the module of that name."""
+"""The commands in the order of `roughmap --help`, each with its summary. A command is a function in a module, both of
+that name."""
 
 
 class _Lazy(click.Group):
-    """A group whose commands are imported when they are asked for."""
+    """A group that imports a command when it is needed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         return list(COMMANDS)
@@ -50,9 +51,13 @@ class _Lazy(click.Group):
 def cli() -> None:
     """roughmap demo
 
-    A rough-ground map from laser scans and poses, kept up to date point by point, logged so that every run can
-    be replayed to the bit, and served to planners over Zenoh. The line above runs it all on this machine;
-    `roughmap COMMAND --help` opens with a line that runs that command.
+    Map rough ground from laser scans and robot poses. The map is updated point by point and served over Zenoh;
+    every run is logged and can be replayed to the same bits. The line above runs all of it on this machine, in
+    about a minute.
+
+    The help of each command begins with a line that you can run: `roughmap COMMAND --help`. For a service of your
+    own, begin with `roughmap config example`, then `serve`; `simulate`, `query`, `top`, `health` and `doctor` work
+    beside it in a second terminal.
     """
 
 
@@ -62,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run the command line; returns the exit code, with at most one line about an error on stderr."""
+    """Run the command line and return the exit code; an error is one line on stderr."""
     try:
         result = cli.main(list(arguments), prog_name="roughmap", standalone_mode=False)
     except click.exceptions.Exit as stop:
@@ -70,7 +75,7 @@ def run(arguments: Sequence[str]) -> int:
     except (click.Abort, KeyboardInterrupt):
         return complain("interrupted", 130)
     except _NO_ARGUMENTS as error:
-        click.echo(error.format_message(), err=True)  # the help: more use than a line that says what is missing
+        click.echo(error.format_message(), err=True)  # the help, as click has it
         return error.exit_code
     except click.UsageError as error:
         where = f" (see: {error.ctx.command_path} --help)" if error.ctx is not None else ""
@@ -78,7 +83,7 @@ def run(arguments: Sequence[str]) -> int:
     except click.ClickException as error:
         return complain(error.format_message(), error.exit_code)
     except BrokenPipeError:
-        # The reader of our output left, as `| head` does. What is still buffered must not be tried again at exit.
+        # The reader of stdout has gone, as with `| head`. Without this, Python would flush and fail again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
@@ -90,7 +95,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 _NO_ARGUMENTS: type[click.UsageError] | tuple[()] = getattr(click.exceptions, "NoArgsIsHelpError", ())
-"""What click raises, from 8.2 on, for a group without a command; before, it shows the help by itself."""
+"""Raised by click 8.2 and later for a group without a command; earlier versions print the help themselves."""
 
 
 def _exit_code(error: Exception) -> int | None:
@@ -110,7 +115,7 @@ def _text(error: Exception) -> str:
 
 
 def complain(message: str, code: int) -> int:
-    """Tell of an error in one line; returns the exit code."""
+    """Print an error as one line on stderr; return the exit code."""
     from roughmap_service.host.log_lines import printable
 
     click.echo(f"roughmap: {printable(' '.join(message.split()))}", err=True)

@@ -1,9 +1,9 @@
-"""Options that several commands share, and the settings they give."""
+"""Options that several commands share, and the settings that they give."""
 
 import json
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,22 +16,22 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Failure(click.ClickException):
-    """The command was asked for rightly, but could not be done: one line, exit 1."""
+    """The command failed: one line, exit code 1."""
 
     exit_code = 1
 
 
 class BadUse(click.ClickException):
-    """What was asked for can't be: one line, exit 2."""
+    """The command was used wrongly: one line, exit code 2."""
 
     exit_code = 2
 
 
 def setting(text: str) -> tuple[str, object]:
-    """`KEY=VALUE` with a dotted key; the value is JSON where it parses as that, else a text."""
+    """Parse `KEY=VALUE` with a dotted key; a value that is not JSON is a string."""
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
-        raise click.BadParameter(f"{text!r}: expected KEY=VALUE, such as map.cell_size=0.2")
+        raise click.BadParameter(f"{text!r}: expected KEY=VALUE, for example map.cell_size=0.2")
     try:
         return key.strip(), json.loads(value)
     except ValueError:
@@ -39,7 +39,7 @@ def setting(text: str) -> tuple[str, object]:
 
 
 def bounding_box(text: str) -> tuple[float, float, float, float]:
-    """`xmin,ymin,xmax,ymax` in metres."""
+    """Parse `xmin,ymin,xmax,ymax` in metres."""
     try:
         xmin, ymin, xmax, ymax = (float(part) for part in text.split(","))
     except ValueError:
@@ -50,7 +50,7 @@ def bounding_box(text: str) -> tuple[float, float, float, float]:
 
 
 def config_options(function: F) -> F:
-    """`-c FILE` as `config_path` and `--set KEY=VALUE` as `settings`; read both with `load`."""
+    """Add `-c FILE` as `config_path` and `--set KEY=VALUE` as `settings`, the arguments of `load`."""
     for option in (
         click.option(
             "--set",
@@ -58,27 +58,27 @@ def config_options(function: F) -> F:
             type=setting,
             multiple=True,
             metavar="KEY=VALUE",
-            help="A setting over file and environment, such as map.cell_size=0.2.",
+            help="Override a setting, for example map.cell_size=0.2. Can be repeated.",
         ),
         click.option(
             "-c",
             "--config",
             "config_path",
             type=click.Path(path_type=Path, dir_okay=False),
-            help="Configuration file; without it ./roughmap.toml, if there is one.",
+            help="Configuration file. [default: ./roughmap.toml, if it exists]",
         ),
     ):
         function = option(function)
     return function
 
 
-json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON, for another program.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 
 def endpoint(text: str) -> str:
-    """A Zenoh endpoint, `PROTOCOL/ADDRESS`."""
+    """Check a Zenoh endpoint, `PROTOCOL/ADDRESS`."""
     if not re.match(ENDPOINT_PATTERN, text):
-        raise click.BadParameter(f"{text!r}: expected PROTOCOL/ADDRESS, such as tcp/127.0.0.1:7447")
+        raise click.BadParameter(f"{text!r}: expected PROTOCOL/ADDRESS, for example tcp/127.0.0.1:7447")
     return text
 
 
@@ -87,7 +87,7 @@ connect_option = click.option(
     type=endpoint,
     multiple=True,
     metavar="ENDPOINT",
-    help="Zenoh endpoint of the service or router, such as tcp/127.0.0.1:7447; may be given several times.",
+    help="Zenoh endpoint of the service or router, for example tcp/127.0.0.1:7447. Can be repeated.",
 )
 
 zenoh_option = click.option(
@@ -95,16 +95,15 @@ zenoh_option = click.option(
     "zenoh_file",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Zenoh configuration (JSON5) of this session: certificates, password, endpoints; in place of [zenoh].",
+    help="Zenoh configuration file (JSON5) for this command's session, used instead of the [zenoh] settings.",
 )
 
 
 def reachable(address: str) -> str:
-    """An address to connect to, where the given one listens on: all addresses of this machine hold loopback's."""
+    """Return the address to connect to for an address to listen on: loopback, where that is all interfaces."""
     return address.replace("0.0.0.0:", "127.0.0.1:").replace("[::]:", "[::1]:")
 
 
 def load(config_path: Path | None, settings: tuple[tuple[str, object], ...]) -> LoadedConfig:
-    """The configuration: file, then environment, then `--set`. Raises ConfigFault in one line (exit 2)."""
-    environ: Mapping[str, str] = os.environ
-    return load_config(config_path, dict(settings), environ)
+    """Load the configuration: file, then environment, then `--set`. Raises ConfigFault."""
+    return load_config(config_path, dict(settings), os.environ)

@@ -1,4 +1,4 @@
-"""`roughmap query`: a region of a running service's map as a table, a picture or an archive."""
+"""`roughmap query`: get a region of a running service's map as a table, a picture or arrays."""
 
 import json
 import time
@@ -23,24 +23,46 @@ if TYPE_CHECKING:
     from roughmap_client import Region
 
 PASSING = frozenset({"busy", "shutting_down", "internal"})
-"""Refusals that are the service's own; all others are of what was asked."""
+"""Error codes that say something of the service's state; all others say that the query is wrong."""
 
 Stats = dict[str, float | int | None]
 
 
 @click.command
-@click.option("--bbox", required=True, type=bounding_box, metavar="XMIN,YMIN,XMAX,YMAX", help="Metres, map frame.")
 @click.option(
-    "--layers", default="mean_height,range,confidence_factor", show_default=True, help="Names joined by commas."
+    "--bbox", required=True, type=bounding_box, metavar="XMIN,YMIN,XMAX,YMAX", help="Region in the map frame, metres."
 )
-@click.option("--level", type=click.IntRange(0, 24), default=0, show_default=True, help="0 finest; cells double.")
-@click.option("--tolerance", type=click.FloatRange(0, min_open=True), help="Metres, for confidence_level.")
-@click.option("--map", "map_name", help="The map's name; without it, the configuration's.")
+@click.option(
+    "--layers", default="mean_height,range,confidence_factor", show_default=True, help="Layers, separated by commas."
+)
+@click.option(
+    "--level",
+    type=click.IntRange(0, 24),
+    default=0,
+    show_default=True,
+    help="Level; 0 is the finest, and each level doubles the cell size.",
+)
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(0, min_open=True),
+    help="Height tolerance for confidence_level, metres. [default: the map's]",
+)
+@click.option("--map", "map_name", help="Name of the map. [default: map.name of the configuration]")
 @connect_option
 @zenoh_option
-@click.option("--timeout", type=click.FloatRange(0.1, 3600), default=10.0, show_default=True, help="Seconds.")
-@click.option("--png", type=click.Path(path_type=Path, dir_okay=False), help="Draw the layers side by side.")
-@click.option("--npz", type=click.Path(path_type=Path, dir_okay=False), help="Save the layers as arrays.")
+@click.option(
+    "--timeout",
+    type=click.FloatRange(0.1, 3600),
+    default=10.0,
+    show_default=True,
+    help="How long to wait for an answer, in seconds.",
+)
+@click.option(
+    "--png", type=click.Path(path_type=Path, dir_okay=False), help="Draw the layers side by side into this file."
+)
+@click.option(
+    "--npz", type=click.Path(path_type=Path, dir_okay=False), help="Save the layers as arrays into this file."
+)
 @config_options
 @json_option
 def query(
@@ -60,8 +82,9 @@ def query(
 ) -> None:
     """roughmap query --bbox -5,-5,5,5 --layers mean_height,slope --png ground.png
 
-    Ask a service that is up for a rectangle of its map. Prints, for each layer, how many cells are known and what
-    they hold; --npz keeps the arrays (row 0 at the lowest y, NaN where unknown) with origin, cell_size and sequence.
+    Get a rectangle of the map from a running service. Prints, for each layer, the number of known cells and the
+    minimum, median, mean and maximum of their values. --npz saves the arrays (row 0 at the lowest y, NaN where
+    unknown) with origin, cell_size, sequence and epoch.
     """
     from roughmap_client import NoAnswer, QueryRefused, RoughMapClient
     from roughmap_client.errors import BadArgument
@@ -83,8 +106,8 @@ def query(
             region = client.region(bbox, names, level=level, tolerance=tolerance)
             answered = time.perf_counter()
     except NoAnswer as error:
-        asked_for = f"is `roughmap serve` up there, with the map {name!r}? (--connect, --map)"
-        raise Failure(f"{error}; {asked_for}{if_guarded(session)}") from error
+        hint = f"is `roughmap serve` up there, with the map {name!r}? (--connect, --map)"
+        raise Failure(f"{error}; {hint}{if_guarded(session)}") from error
     except BadArgument as error:
         raise BadUse(str(error)) from error
     except QueryRefused as error:
@@ -128,7 +151,10 @@ def _save(file: Path, region: "Region", names: list[str]) -> None:
 
 
 def statistics(layer: str, values: Any) -> Stats:
-    """Known cells and the spread of what they hold; counts and weights are 0, not NaN, where nothing is known."""
+    """Return the number of known cells and the minimum, median, mean and maximum of their values.
+
+    Counts and weights are 0, not NaN, in unknown cells.
+    """
     import numpy as np
 
     array = np.asarray(values, dtype=np.float64)

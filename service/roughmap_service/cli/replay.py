@@ -1,4 +1,4 @@
-"""`roughmap replay`."""
+"""`roughmap replay`: integrate a log again and compare with the logged results."""
 
 import json
 import sys
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True), metavar="LOG...")
 @click.option("--from", "from_store", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="MAP.DB",
-              help="The store that the logs go on from, where they don't begin with the run.")  # fmt: skip
-@click.option("-o", "--out", type=click.Path(path_type=Path), metavar="MAP.DB", help="Store the map that comes of it.")
+              help="Store from which the logs continue, if they do not begin with the run.")  # fmt: skip
+@click.option("-o", "--out", type=click.Path(path_type=Path), metavar="MAP.DB", help="Store the resulting map.")
 @click.option("--log-out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR",
-              help="Write the replay as a log of its own into an empty folder.")  # fmt: skip
+              help="Write the replay as a log into this empty or new folder.")  # fmt: skip
 @click.option("--what-if", "changes", type=setting, multiple=True, metavar="KEY=VALUE",
-              help="Integrate under another setting (map.cell_size=0.2) and tell how the map differs.")  # fmt: skip
+              help="Also integrate with another setting, for example map.cell_size=0.2. Can be repeated.")  # fmt: skip
 @json_option
 def replay(
     logs: tuple[Path, ...],
@@ -40,9 +40,11 @@ def replay(
 ) -> int:
     """roughmap replay log/
 
-    Integrate a run's logs again (files or folders) and compare every checkpoint and event with what was logged. The
-    last line says `equal: ...` (exit 0) or `differs at sequence ...` (exit 1); exit 2 if the logs are no whole run.
-    With --what-if the run is integrated a second time under other settings, and the maps are compared.
+    Integrate the logs of a run again (files or folders) and compare every event and checkpoint with the logged one.
+    The last line is `equal: ...` (exit code 0) or `differs at sequence ...` (exit code 1). The exit code is 2 if the
+    logs are not one complete run.
+
+    With --what-if the run is integrated a second time with other settings, and the two maps are compared.
     """
     from roughmap_service.journal.run_files import find_files, one_run
     from roughmap_service.offline.replay import config_of
@@ -52,18 +54,18 @@ def replay(
     found = one_run(find_files(logs), logs)
     total = [file.path for file in found]
     if changes and from_store is not None:
-        raise BadUse("--what-if needs the whole run: it can't begin from a store of other settings")
+        raise BadUse("--what-if needs the whole run: the store of --from was made with other settings")
     if log_out is not None and from_store is not None:
-        raise BadUse("--log-out needs the whole run: a log that begins in a store's midst could not be replayed alone")
+        raise BadUse("--log-out needs the whole run: a log that continues from a store can't be replayed alone")
     if out is not None and out.exists():
-        raise BadUse(f"{out} is there already; name another file")
+        raise BadUse(f"{out} exists; name another file")
     if log_out is not None:
         try:
             check_empty(log_out)
         except FileExistsError as error:
             raise BadUse(f"{log_out} {error.strerror}") from None
     change = partial(_changed, changes=changes)
-    change(config_of(found[0]))  # a wrong setting is told before the work
+    change(config_of(found[0]))  # so that a wrong setting ends the command before the work
     with _progress("replay", total) as watch:
         done = run(logs, from_store=from_store, watch=watch)
     result: dict[str, Any] = {"verdict": done.verdict, "equal": done.difference is None, "events": done.events}
@@ -72,12 +74,12 @@ def replay(
         if changes:
             shown, result["what_if"] = _what_if(logs, total, change, done.run, changes, as_json=as_json)
         if out is not None:
-            # A run of its own: a service would take this for the logged run's beginning, and fold the log once more.
+            # With a run id of its own: under the logged run's, a service would apply the log to it once more.
             _store(out, shown, change(done.config), uuid.uuid4().hex)
         if log_out is not None:
             _log(logs, total, log_out, change)
     elif changes or out is not None or log_out is not None:
-        click.echo("the replay ended at the first difference: nothing else was done", err=True)
+        click.echo("the replay stopped at the first difference; the other options were not carried out", err=True)
     click.echo(json.dumps(result) if as_json else done.verdict)
     return 0 if done.difference is None else 1
 
@@ -91,7 +93,7 @@ def _what_if(
     *,
     as_json: bool,
 ) -> "tuple[Run, list[dict[str, Any]]]":
-    """The run under other settings, and a table of how each layer differs."""
+    """Integrate the run with other settings; return its state and the difference of each layer."""
     from roughmap_service.offline.compare import compare
     from roughmap_service.offline.replay import what_if
 
@@ -104,7 +106,7 @@ def _what_if(
 
 
 def _changed(config: "Config", changes: tuple[tuple[str, object], ...]) -> "Config":
-    """The settings with ``changes`` over them; BadUse for what is none."""
+    """Return the settings with ``changes`` over them; BadUse for an unknown key or a bad value."""
     from pydantic import ValidationError
 
     from roughmap_schemas import Config
@@ -129,10 +131,10 @@ def _print_differences(differences: "list[Any]", changes: dict[str, object]) -> 
     from rich.console import Console
     from rich.table import Table
 
-    told = ", ".join(f"{key}={value}" for key, value in changes.items())
-    table = Table(title=f"the map with {told}, beside the logged one")
-    for heading in ("layer", "places both know", "only logged", "only now", "median logged", "median now",
-                    "median change", "95 % change less than"):  # fmt: skip
+    shown = ", ".join(f"{key}={value}" for key, value in changes.items())
+    table = Table(title=f"map with {shown}, compared with the logged map")
+    for heading in ("layer", "known in both", "only in logged", "only in new", "median logged", "median new",
+                    "median change", "95 % change by less than"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "layer" else "right")
     for d in differences:
         table.add_row(
@@ -141,7 +143,7 @@ def _print_differences(differences: "list[Any]", changes: dict[str, object]) -> 
         )  # fmt: skip
     console = Console()
     if not console.is_terminal:
-        console.width = 200  # a file or a pipe has no width that names of layers would have to be cut for
+        console.width = 200  # a file or a pipe has no width, so nothing need be cut
     console.print(table)
 
 
@@ -167,7 +169,7 @@ def _log(logs: tuple[Path, ...], files: list[Path], directory: Path, change: "Ca
 
 @contextmanager
 def _progress(title: str, files: list[Path]) -> "Iterator[Callable[[Step], None]]":
-    """A progress line on stderr: files done, clouds integrated; plain lines where stderr is no terminal."""
+    """Show files done and clouds integrated on stderr; one line per file if stderr is not a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 

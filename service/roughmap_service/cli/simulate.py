@@ -1,4 +1,4 @@
-"""`roughmap simulate`: a rover that publishes scans and poses, or recorded scans played again."""
+"""`roughmap simulate`: publish the scans and poses of a simulated rover, or of a recording."""
 
 import json
 import threading
@@ -22,24 +22,40 @@ if TYPE_CHECKING:
 @zenoh_option
 @click.option("--robots", type=click.IntRange(1, 16), default=1, show_default=True, help="Number of rovers.")
 @click.option(
-    "--duration", type=click.FloatRange(0.1, 86_400), default=20.0, show_default=True, help="Seconds to drive."
+    "--duration", type=click.FloatRange(0.1, 86_400), default=20.0, show_default=True, help="Driving time in seconds."
 )
 @click.option(
-    "--rate", type=click.FloatRange(0, 1000), default=1.0, show_default=True, help="Times real time; 0: at once."
+    "--rate",
+    type=click.FloatRange(0, 1000),
+    default=1.0,
+    show_default=True,
+    help="Speed, in multiples of real time; 0: as fast as possible.",
 )
-@click.option("--seed", type=click.IntRange(0, 2**31), default=1, show_default=True, help="Of ground and noise.")
-@click.option("--rings", type=click.IntRange(1, 256), default=64, show_default=True, help="Beams of the scanner.")
-@click.option("--columns", type=click.IntRange(8, 4096), default=512, show_default=True, help="Columns of a sweep.")
+@click.option(
+    "--seed", type=click.IntRange(0, 2**31), default=1, show_default=True, help="Random seed of ground and noise."
+)
+@click.option(
+    "--rings", type=click.IntRange(1, 256), default=64, show_default=True, help="Number of the scanner's beams."
+)
+@click.option(
+    "--columns", type=click.IntRange(8, 4096), default=512, show_default=True, help="Points per beam in one sweep."
+)
 @click.option(
     "--from",
     "recording",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Play this NPZ of scans with poses instead of the rover.",
+    help="Publish the scans and poses of this NPZ file instead.",
 )
-@click.option("--robot", default="rover1", show_default=True, help="Name of the robot of a recording.")
-@click.option("--sensor-frame", default="lidar", show_default=True, help="Its sensor's frame, as configured.")
-@click.option("--start-ns", type=click.IntRange(0), help="Stamp of the first sweep; without it, now.")
-@click.option("--wait", type=click.FloatRange(0, 3600), default=15.0, show_default=True, help="Seconds for a service.")
+@click.option("--robot", default="rover1", show_default=True, help="With --from: name of the robot.")
+@click.option("--sensor-frame", default="lidar", show_default=True, help="With --from: frame of the sensor.")
+@click.option("--start-ns", type=click.IntRange(0), help="Stamp of the first sweep, in ns. [default: now]")
+@click.option(
+    "--wait",
+    type=click.FloatRange(0, 3600),
+    default=15.0,
+    show_default=True,
+    help="How long to wait for a service, in seconds.",
+)
 @config_options
 @json_option
 def simulate(
@@ -62,19 +78,15 @@ def simulate(
 ) -> None:
     """roughmap simulate --duration 20
 
-    Drive a rover over synthetic ground of known height and publish its scans and poses, as a robot would, to a
-    service that is up (`roughmap serve`). The ground has slopes, rocks, a ditch and a wall; the scanner turns
-    while the rover moves; localisation errs by the covariance that it states. The service needs the sensor:
+    Drive a rover over synthetic ground of known height and publish its scans and poses to a running
+    `roughmap serve`, as a robot would. The ground has slopes, rocks, a ditch and a wall. The scanner turns while the
+    rover moves, and the poses have errors as large as their covariance says.
 
-    \b
-      [sensors.lidar]
-      translation = [0.25, 0.0, 1.05]
-      range_sigma = 0.02
-      beam_sigma = 0.0005
-      min_range = 0.5
+    The service must know the rover's sensor, `lidar`. `roughmap config example` prints a configuration that has it;
+    without it the service refuses the scans.
 
-    With --from, the scans of a file are published with their poses as odometry. There the robot is the sensor:
-    leave `translation` out. Millimetres or metres, one robot: what `roughmap build --help` says of scans in an NPZ.
+    With --from, the scans of an NPZ file are published, with their poses as odometry. `roughmap build --help`
+    describes the file. Its poses are those of the sensor, so leave `translation` out of the sensor's settings.
     """
     from roughmap_client.access import endpoints_of
     from roughmap_schemas.config import without_secrets
@@ -89,7 +101,7 @@ def simulate(
         names = [robot]
     else:
         fleet = rovers(robots, seed, start_ns or 0, Scanner(rings=rings, columns=columns))
-        next(fleet[0].messages(1.0))  # the first sweep takes a second: made now, it delays none that is due
+        next(fleet[0].messages(1.0))  # compiles the kernels, so that no message is late
         messages = merged([rover.messages(duration) for rover in fleet])
         names = [rover.name for rover in fleet]
     config = client_config(load(config_path, settings), connect, zenoh_file)
@@ -101,9 +113,9 @@ def simulate(
         try:
             publisher.wait_for_listeners(wait)
         except NobodyListens as error:
-            raise Failure(f"{error}; is `roughmap serve` up, and ready, at {where}?{if_guarded(config)}") from error
+            raise Failure(f"{error}; is `roughmap serve` ready on {where}?{if_guarded(config)}") from error
         begun, now = time.monotonic(), time.time_ns()
-        for rover in fleet:  # messages are made as they are wanted, so none has a stamp yet
+        for rover in fleet:  # messages are made lazily, so none has a stamp yet
             rover.start_ns = now if start_ns is None else start_ns
         published = _play(publisher, messages, rate, None if recording else duration)
     _report(published, time.monotonic() - begun, as_json)
@@ -140,5 +152,5 @@ def _report(published: "Published", seconds: float, as_json: bool) -> None:
         return
     click.echo(
         f"published {published.clouds} clouds and {published.poses} poses, {published.bytes / 1e6:.1f} MB, "
-        f"in {seconds:.1f} s (at worst {published.late_s * 1e3:.0f} ms behind)"
+        f"in {seconds:.1f} s (up to {published.late_s * 1e3:.0f} ms late)"
     )

@@ -1,4 +1,4 @@
-"""`roughmap top`: a running service, live in the terminal."""
+"""`roughmap top`: watch a running service in the terminal."""
 
 import contextlib
 import threading
@@ -15,15 +15,21 @@ if TYPE_CHECKING:
     from roughmap_service.cli.top_frame import Robots
 
 PERIOD_S = 1.0
-"""As often as the service renews its status."""
+"""The service renews its status once a second."""
 
 
 @click.command
-@click.option("--map", "map_name", help="The map's name; without it, the configuration's.")
+@click.option("--map", "map_name", help="Name of the map. [default: map.name of the configuration]")
 @connect_option
 @zenoh_option
-@click.option("--timeout", type=click.FloatRange(0.1, 3600), default=5.0, show_default=True, help="Seconds.")
-@click.option("--once", is_flag=True, help="Print one frame and end.")
+@click.option(
+    "--timeout",
+    type=click.FloatRange(0.1, 3600),
+    default=5.0,
+    show_default=True,
+    help="How long to wait for the service, in seconds.",
+)
+@click.option("--once", is_flag=True, help="Print once and exit.")
 @config_options
 @json_option
 def top(
@@ -38,8 +44,9 @@ def top(
 ) -> None:
     """roughmap top
 
-    Watch a running service: rates, lag, what was rejected and why, robots, memory, tiles, the log; once a second, until
-    Ctrl-C. With --json the status, a line a second. Robots are those heard of since top began.
+    Watch a running service until Ctrl-C: rates, lag, rejections with their reasons, robots, memory, tiles and log,
+    once a second. The robots are those whose clouds were decided since top started. With --json, print the status as
+    one line each second.
     """
     from roughmap_client import NoAnswer, RoughMapClient
     from roughmap_schemas.keys import Keys
@@ -58,11 +65,11 @@ def top(
         client = RoughMapClient(name, session=session, timeout=timeout, keys=config.keys)
         try:
             client.status()
-            with contextlib.suppress(KeyboardInterrupt):  # the way out
+            with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C is how top ends
                 _watch(client, robots, once=once, as_json=as_json)
         except NoAnswer as error:
-            told = f"is the map {name!r} served there? (--connect, --map){if_guarded(zenoh_config)}"
-            raise Failure(f"{error}; {told}") from error
+            hint = f"is the map {name!r} served there? (--connect, --map){if_guarded(zenoh_config)}"
+            raise Failure(f"{error}; {hint}") from error
 
 
 def _watch(client: "RoughMapClient", robots: "Robots", *, once: bool, as_json: bool) -> None:
@@ -74,8 +81,8 @@ def _watch(client: "RoughMapClient", robots: "Robots", *, once: bool, as_json: b
     from roughmap_service.cli.top_frame import frame
 
     console, pause = Console(highlight=False), threading.Event()
-    once = once or not (as_json or console.is_terminal)  # in a pipe, one frame is of use and a film is not
-    pause.wait(PERIOD_S)  # for the robots to be heard
+    once = once or not (as_json or console.is_terminal)  # in a pipe, print once
+    pause.wait(PERIOD_S)  # so that events of the robots arrive
     if as_json or once:
         while True:
             status = client.status()
@@ -88,7 +95,7 @@ def _watch(client: "RoughMapClient", robots: "Robots", *, once: bool, as_json: b
     status, seen = client.status(), time.monotonic()
     with Live(console=console, screen=True, auto_refresh=False) as live:
         while True:
-            with contextlib.suppress(NoAnswer):  # it may come back; until then the frame says for how long it is gone
+            with contextlib.suppress(NoAnswer):  # the frame shows for how long there was no answer
                 status, seen = client.status(timeout=PERIOD_S), time.monotonic()
             live.update(frame(status, robots.rows(), time.monotonic() - seen), refresh=True)
             pause.wait(PERIOD_S)

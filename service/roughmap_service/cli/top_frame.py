@@ -1,4 +1,4 @@
-"""A frame of `roughmap top`: the status and the robots, as tables."""
+"""The screen of `roughmap top`: status and robots as tables."""
 
 import threading
 import time
@@ -19,20 +19,20 @@ from roughmap_schemas.reasons import MEANING, CloudReason, PointReason, PoseReas
 from roughmap_service.host.log_lines import printable
 
 WINDOW_S = 10.0
-"""Seconds over which a robot's rates are told, as the status tells the map's."""
+"""Seconds over which a robot's rates are averaged, as in the status."""
 
 MAX_ROBOTS = 256
-"""Robots that are listed: as many as a service hears."""
+"""Robots listed: the default of ``input.max_robots``."""
 
 MAX_EVENTS = 4096
-"""Events of a robot that are remembered for its rates."""
+"""Events of a robot kept for its rates."""
 
 STYLES = {"ok": "bold green", "overloaded": "bold yellow", "degraded": "bold red"}
 
 
 @dataclass
 class Robot:
-    """What was heard of one robot's clouds."""
+    """Decisions on one robot's clouds since the command started."""
 
     recent: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=MAX_EVENTS))
     integrated: int = 0
@@ -41,7 +41,7 @@ class Robot:
 
 @dataclass(frozen=True)
 class Row:
-    """One robot's line: rates over the last seconds, counts since the command began."""
+    """One robot's line: rates over the last `WINDOW_S`, counts since the command started."""
 
     name: str
     clouds_per_s: float
@@ -51,7 +51,7 @@ class Row:
 
 
 class Robots:
-    """Gathers what the service publishes of clouds, by robot."""
+    """Collects the service's published events by robot."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -59,11 +59,11 @@ class Robots:
         self._begun = time.monotonic()
 
     def take(self, payload: bytes) -> None:
-        """One event, as published."""
+        """Count one published event; any but an integration is ignored."""
         try:
             event = decode_event(payload)
         except ContractError:
-            return  # of a release that knows other events
+            return  # from a service of another version
         if not isinstance(event, IntegrationEvent):
             return
         with self._lock:
@@ -77,7 +77,7 @@ class Robots:
                 robot.rejected[str(event.outcome)] += 1
 
     def rows(self) -> list[Row]:
-        """The robots by name."""
+        """Return the robots, sorted by name."""
         now = time.monotonic()
         since, window = now - WINDOW_S, max(min(now - self._begun, WINDOW_S), 0.1)
         with self._lock:
@@ -90,7 +90,7 @@ class Robots:
 
 
 def frame(status: MapStatus, robots: list[Row], silent_s: float) -> RenderableType:
-    """All of it. ``silent_s`` is for how long the service has not answered."""
+    """Return the whole screen; ``silent_s`` is the time since the service last answered, in seconds."""
     parts: list[RenderableType] = [_head(status, silent_s), Text(), _flow(status), Text(), _resources(status)]
     if rejected := _rejected(status):
         parts += [Text(), rejected]
@@ -103,16 +103,16 @@ def _head(status: MapStatus, silent_s: float) -> Text:
     head = Text.assemble(
         (printable(status.map), "bold"), "  ", (status.health, STYLES[status.health]),
         f"  sequence {status.sequence:,}",
-        f" ({status.durable_sequence:,} on the disk)  epoch {status.epoch}  up {_duration(status.uptime_s)}",
+        f" ({status.durable_sequence:,} on disk)  epoch {status.epoch}  up {_duration(status.uptime_s)}",
         (f"\nroughmap {printable(status.version)}, instance {printable(status.instance[:8])}", "dim"),
     )  # fmt: skip
     if silent_s >= 2.0:
-        head.append(f"\nno answer for {silent_s:.0f} s; what follows is from before", "bold red")
+        head.append(f"\nno answer for {silent_s:.0f} s; showing the last status", "bold red")
     return head
 
 
 def _table(*columns: str, left: tuple[str, ...] = ()) -> Table:
-    """A name and numbers, and texts to their right."""
+    """Return a table with a column of names, columns of numbers, and columns of texts (``left``)."""
     table = Table(box=None, pad_edge=False)
     for number, column in enumerate(columns):
         table.add_column(column, justify="right" if number else "left", header_style="dim")
@@ -123,12 +123,12 @@ def _table(*columns: str, left: tuple[str, ...] = ()) -> Table:
 
 def _flow(status: MapStatus) -> Table:
     clouds, points, poses = status.clouds, status.points, status.poses
-    table = _table("", "a second", "accepted", "rejected", "waiting")
+    table = _table("", "per second", "accepted", "rejected", "waiting")
     rows = (("clouds", clouds, f"{clouds.waiting:,}"), ("points", points, ""), ("poses", poses, ""))
     for name, counts, waiting in rows:
         rate = getattr(status.rates, name)
-        told = f"{rate:,.0f}" if name == "points" else f"{rate:.1f}"
-        table.add_row(name, told, f"{counts.accepted:,}", f"{sum(counts.rejected.values()):,}", waiting)
+        shown = f"{rate:,.0f}" if name == "points" else f"{rate:.1f}"
+        table.add_row(name, shown, f"{counts.accepted:,}", f"{sum(counts.rejected.values()):,}", waiting)
     table.add_row("refused", "", "", f"{sum(status.refused.values()):,}", "")
     return table
 
@@ -139,15 +139,15 @@ def _resources(status: MapStatus) -> Table:
     table.add_column(style="dim")
     table.add_column()
     known = lag.p50 is not None and lag.p99 is not None
-    told = f"{(lag.p50 or 0) * 1e3:.1f} ms, p99 {(lag.p99 or 0) * 1e3:.1f} ms" if known else "no clouds in 10 s"
-    table.add_row("lag", told)
+    shown = f"{(lag.p50 or 0) * 1e3:.1f} ms, p99 {(lag.p99 or 0) * 1e3:.1f} ms" if known else "no clouds in 10 s"
+    table.add_row("lag", shown)
     table.add_row("memory", _bytes(status.memory_bytes))
     extent = ""
     if status.extent is not None:
         xmin, ymin, xmax, ymax = status.extent
         extent = f", {xmax - xmin:,.0f} x {ymax - ymin:,.0f} m"
     table.add_row("tiles", f"{tiles.resident:,} in memory, {tiles.spilled:,} on disk{extent}")
-    fault = "" if log.ok else ", CAN'T BE WRITTEN"
+    fault = "" if log.ok else ", NOT WRITABLE"
     name = printable(Path(log.file).name) if log.file else "none"
     table.add_row("log", Text(f"{_bytes(log.bytes)} in {name}{fault}", "" if log.ok else "bold red"))
     return table
@@ -163,7 +163,7 @@ def _rejected(status: MapStatus) -> Table | None:
     rows = [(kind, of, str(reason), n) for kind, of, counts in kinds for reason, n in counts.items() if n]
     if not rows:
         return None
-    table = _table("rejected", "number", left=("reason", "that is"))
+    table = _table("rejected", "count", left=("reason", "meaning"))
     for kind, of, reason, n in rows:
         table.add_row(kind, f"{n:,}", reason, MEANING[of].get(reason, ""))
     return table

@@ -1,4 +1,4 @@
-"""Compiling what the first scan and the first query would otherwise wait for."""
+"""Compiling the kernels that the first scan and the first query need."""
 
 import logging
 import threading
@@ -13,25 +13,25 @@ from roughmap_service.run.placing import place_cloud
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.settings import Settings, new_map
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 TELL_SECONDS = 3.0
-"""What takes longer is no loading of kernels that an earlier start compiled."""
+"""Loading kernels that an earlier start compiled takes less."""
 
 LIMIT = 1 << 20
-"""Bytes and points that the clouds in here stay below."""
+"""Bytes and points that the clouds here stay below."""
 
 UNTURNED = (0.0, 0.0, 0.0, 1.0)
 
 
 def warm_up(config: Config, stop: threading.Event) -> None:
-    """Run the way of a scan once from a sensor and once in the map's frame, on a map of its own that is thrown away; no
-    further than ``stop`` being set. Where it takes long, the log says why.
+    """Integrate a scan in a sensor's frame and one in the map's frame into a temporary map, unless ``stop`` is set.
 
-    Kernels read points by address: they are the same for every layout of a cloud.
+    Kernels read points by address, so they are the same for every layout of a cloud. If it takes long, a log line says
+    why.
     """
-    text = "kernels are compiled, once: this takes a minute or more"
-    slow = threading.Timer(TELL_SECONDS, note, (log, logging.INFO, "compiling", text))
+    text = "compiling kernels, once; this takes a minute or more"
+    slow = threading.Timer(TELL_SECONDS, note, (logger, logging.INFO, "compiling", text))
     slow.daemon = True
     slow.start()
     try:
@@ -46,14 +46,14 @@ def _run(config: Config, stop: threading.Event) -> None:
     sensors += [(robot, frame) for robot, own in config.robots.items() for frame in own.sensors]
     line = [Pose(k * 10**9, (0.0, 0.0, 0.0), UNTURNED, None, 1, 0) for k in (0, 1)]
     points = np.tile([[3.0, 0.0, -0.3], [0.0, 3.0, -0.5], [-3.0, 1.0, -0.4]], (1400, 1))  # work for two threads
-    rehash(np.empty(2, np.int32), np.zeros(1, np.uint64), 0)  # an index of tiles that grows
+    rehash(np.empty(2, np.int32), np.zeros(1, np.uint64), 0)  # the index of tiles grows
     with new_map(config) as rough_map:
         for robot, frame in [("", settings.frame_id), *sensors[:1]]:
             if stop.is_set():
                 return
             payload = encode_cloud(points, 0, frame, offsets_ns=np.arange(len(points)) * 1000)
             cloud = decode_cloud(payload, max_message=LIMIT, max_points=LIMIT)
-            # While part of the map is frozen for a reader, what is written to is copied: that has its kernel too.
+            # While a reader holds a frozen map, tiles are copied before they change; that has a kernel too.
             with rough_map.freeze():
                 rough_map.integrate(place_cloud(rough_map, robot, cloud, line, settings))
         rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height", "confidence_level", "traversability"], level=0)
@@ -61,5 +61,5 @@ def _run(config: Config, stop: threading.Event) -> None:
         rough_map.digest()
     pool, dense = SlotPool(), np.ones(1, np.bool_)
     pool.release(pool.allocate(1, dense))
-    (slot,) = pool.allocate(1, dense).tolist()  # the same again, and what was in it is cleared
-    pool.known_rows(slot)  # what a tile that leaves memory is asked
+    (slot,) = pool.allocate(1, dense).tolist()  # the same slot again, cleared
+    pool.known_rows(slot)  # for tiles that leave memory

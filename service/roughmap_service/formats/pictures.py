@@ -1,4 +1,4 @@
-"""Pictures of map layers: metres on the axes, a colour bar with units, unknown ground hatched.
+"""Pictures (PNG) of map layers: axes in metres, a colour bar with units, unknown ground hatched.
 
 No display is needed. Importing matplotlib takes a second, so only commands that draw import this module.
 """
@@ -23,11 +23,11 @@ Floats = npt.NDArray[np.float64]
 
 
 class Layers(Protocol):
-    """What can be drawn: the region of a map or of a client's answer."""
+    """What can be drawn: a region, from the map or from a client's answer."""
 
     @property
     def cell_size(self) -> float:
-        """Metres a cell."""
+        """Side of a cell, metres."""
         ...
 
     @property
@@ -36,7 +36,7 @@ class Layers(Protocol):
         ...
 
     def __getitem__(self, name: str, /) -> npt.NDArray[Any]:
-        """(rows along y, columns along x)."""
+        """Return a layer: rows along y, columns along x."""
         ...
 
 
@@ -60,27 +60,27 @@ STYLES: dict[str, tuple[str, str, str]] = {
     "step_height": ("step height", "m", "inferno"),
     "traversability": ("traversability", "0 blocked, 1 free", "RdYlGn"),
 }
-"""Layer -> what it is called, its unit, its colours."""
+"""Layer -> its name in the picture, its unit, its colour map."""
 
 LOGARITHMIC = frozenset({"confidence_factor", "mean_variance", "count", "weight", "expected_count"})
 """Layers that span orders of magnitude."""
 
 HEIGHTS = frozenset({"mean_height", "mid_range_height", "max_height", "min_height"})
-"""Layers drawn with a shade as of a low sun: rocks and ditches vanish in the colours of a whole hill."""
+"""Layers drawn with hill shading: in the colours of a whole hill alone, rocks and ditches would be invisible."""
 
 FIXED_SPAN = {"confidence_level": (0.0, 1.0), "traversability": (0.0, 1.0)}
 
 
 def draw(region: Layers, layers: Sequence[str], file: Path, *, title: str = "", tracks: Sequence[Floats] = ()) -> None:
-    """Draw `layers` side by side into `file` (PNG); `tracks`, each (N, 2) in metres, are drawn as robots' ways.
+    """Draw `layers` side by side into `file` (PNG), with the robots' `tracks`, each (N, 2) in metres.
 
-    Raises OSError where the file can't be written.
+    Raises OSError if the file can't be written.
     """
     rows, columns = region[layers[0]].shape
     ratio = rows / max(columns, 1)
     width = 7.2
     height = float(np.clip(width * 0.74 * ratio + 0.9, 3.5, 16.0))
-    # A Figure of one's own, not pyplot: no global state, no display, safe in any thread.
+    # A Figure instead of pyplot: no global state, no display, safe in any thread.
     with mpl.rc_context({"hatch.linewidth": 0.4, "font.size": 9}):
         figure = Figure(figsize=(width * len(layers), height), layout="constrained", dpi=130)
         for axes, layer in zip(np.atleast_1d(figure.subplots(1, len(layers))), layers, strict=True):
@@ -89,7 +89,7 @@ def draw(region: Layers, layers: Sequence[str], file: Path, *, title: str = "", 
             figure.suptitle(title)
         drawn = io.BytesIO()
         figure.savefig(drawn, format="png")
-    # A palette makes half the bytes; dithered, because 256 colours alone leave steps in a shaded slope.
+    # A palette halves the file. It is dithered, since 256 colours leave steps in a shaded slope.
     with Image.open(drawn) as image:
         colours = image.convert("RGB")
     palette = colours.quantize(256)
@@ -116,7 +116,7 @@ def _panel(axes: Axes, region: Layers, layer: str, tracks: Sequence[Floats]) -> 
     axes.figure.colorbar(mappable, ax=axes, label=label, shrink=0.85, extend=_extend(values[known], low, high))
     legend: list[Patch | Line2D] = [Patch(facecolor="#e4e4e4", edgecolor="#a8a8a8", hatch="////", label="unknown")]
     for number, track in enumerate(tracks):
-        lines = axes.plot(track[:, 0], track[:, 1], color="#d01c8b", linewidth=1.2, label="rover's way")
+        lines = axes.plot(track[:, 0], track[:, 1], color="#d01c8b", linewidth=1.2, label="rover's path")
         legend += lines if number == 0 else []
     axes.legend(handles=legend, loc="upper right", framealpha=0.9, fontsize=8)
     axes.set_xlim(extent[0], extent[1])
@@ -128,7 +128,7 @@ def _panel(axes: Axes, region: Layers, layer: str, tracks: Sequence[Floats]) -> 
 
 
 def _sunlight(height: Floats, cell_size: float) -> Floats:
-    """Brightness from 0.45 to 1, the sun low in the north-west; 0.85 where a neighbour is unknown."""
+    """Return the brightness, 0.45 to 1, of a low sun in the north-west; 0.85 where a neighbour is unknown."""
     if min(height.shape) < 2:
         return np.ones(height.shape)
     along_y, along_x = np.gradient(height, cell_size)
@@ -137,12 +137,12 @@ def _sunlight(height: Floats, cell_size: float) -> Floats:
 
 
 def _never_hit(layer: str, values: Floats) -> npt.NDArray[np.bool_]:
-    """Counts say 0, not NaN, where nothing was seen."""
+    """Return where a cell was never hit; counts and weights are 0 there, not NaN."""
     return values == 0 if layer in {"count", "weight", "expected_count"} else np.zeros(values.shape, dtype=bool)
 
 
 def _extend(known: Floats, low: float, high: float) -> str:
-    """At which ends the colour bar gets an arrow: where there are values past its end."""
+    """Return at which ends the colour bar gets an arrow: where values lie beyond it."""
     below, above = bool(np.any(known < low)), bool(np.any(known > high))
     return {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[below, above]
 
@@ -153,7 +153,7 @@ def _extent(region: Layers, shape: tuple[int, ...]) -> tuple[float, float, float
 
 
 def _span(layer: str, known: Floats) -> tuple[float, float]:
-    """The values that the colours span: all but the outermost hundredth, so that one outlier doesn't grey the rest."""
+    """Return the range of the colours: without the outermost hundredth, so that outliers don't flatten the rest."""
     if layer in FIXED_SPAN:
         return FIXED_SPAN[layer]
     if known.size == 0:

@@ -1,1 +1,6 @@
-"""The machine the service runs on: files and locks, log lines, counters, exposure, the end of the process."""
+"""The machine that the service runs on.
+
+disk.py        files that survive a power cut; locks.py: one service for each log and store
+counters.py    what was counted since the start; log_lines.py: the lines on stderr
+exposure.py    who can reach the Zenoh session; ending.py: one time limit for the end
+"""

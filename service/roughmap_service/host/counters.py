@@ -1,4 +1,4 @@
-"""What the service counts since its start: the one source of status, metrics and log lines."""
+"""Counters since the start of the service, from which status, metrics and log lines are made."""
 
 import threading
 import time
@@ -8,50 +8,50 @@ from copy import deepcopy
 from dataclasses import dataclass, field
 
 MAX_ROBOTS = 256
-"""Robots that are counted each by its name: so many series the metrics may have."""
+"""Robots that are counted by name, since each is a series in the metrics."""
 
-LAG_WINDOW = 10.0
-"""Seconds over which lag and rates are told (the design's)."""
+LAG_WINDOW_SECONDS = 10.0
+"""Period over which lag and rates are reported (given by the design)."""
 
 OVERLOAD_SECONDS = 2.0
-"""An overload begins when a message is dropped or turned away for want of room. It ends when for so long none was, and
-no cloud came into the map late."""
+"""An overload begins when a message is dropped or refused for lack of room. It ends after this time without another one
+and without a late cloud."""
 
 LATE_SECONDS = 1.0
-"""A cloud is late past `input.max_wait` and this after its arrival: it waited for other clouds then, not for poses."""
+"""A cloud is late if it took `input.max_wait` and this from its arrival: it waited for other clouds, not for poses."""
 
 LAG_SAMPLES = 4096
-"""At most so many clouds are remembered for the lag: 400 a second over the window."""
+"""The most clouds that are remembered for the lag: 400 a second over the period."""
 
 RATE_SAMPLES = 20_000
-"""At most so many poses are remembered for their rate: 2,000 a second over the window."""
+"""The most poses that are remembered for their rate: 2,000 a second over the period."""
 
 BOUNDS = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
-"""Upper bounds in seconds under which durations are counted: from a fast disk's sync to a hopeless lag."""
+"""Upper bounds in seconds of the histograms: from the sync of a fast disk to a hopeless lag."""
 
 REFUSED_ROBOTS = 32
-"""Robots whose refusals are told apart in the log: with each reason, fewer than `logs.MAX_KINDS`."""
+"""Robots whose refusals have log lines of their own: times the number of reasons, below `log_lines.MAX_KINDS`."""
 
 OTHERS = "(others)"
-"""The robots past the first `MAX_ROBOTS`, counted together; no robot can be named so."""
+"""The name under which robots past the first `MAX_ROBOTS` are counted together; not a valid robot name."""
 
 
 class Durations:
-    """How many durations lay at or below each bound (the last count: above all), and their sum in seconds."""
+    """A histogram: the number of durations up to each bound and above the one before it, and their sum in seconds."""
 
     def __init__(self) -> None:
         self.counts = [0] * (len(BOUNDS) + 1)
         self.total = 0.0
 
     def add(self, seconds: float) -> None:
-        """One more."""
+        """Count a duration."""
         self.counts[bisect_left(BOUNDS, seconds)] += 1
         self.total += seconds
 
 
 @dataclass
 class Lag:
-    """Arrival to queryable, in seconds; None where no cloud was integrated in the window."""
+    """Time from arrival to queryable, in seconds; None if no cloud was integrated in the period."""
 
     p50: float | None
     p99: float | None
@@ -59,7 +59,7 @@ class Lag:
 
 @dataclass
 class Counts:
-    """One consistent copy of all counters."""
+    """A consistent copy of all counters."""
 
     clouds_accepted: int = 0
     clouds_rejected: Counter[str] = field(default_factory=Counter)
@@ -78,7 +78,7 @@ class Counts:
 
 
 class Counters:
-    """Counters that any thread may raise and read; every change is one short hold of one lock."""
+    """Counters that any thread may raise and read. Every change holds one lock for a short time."""
 
     def __init__(self, max_wait: float = 0.0) -> None:
         self._lock = threading.Lock()
@@ -92,8 +92,11 @@ class Counters:
     def cloud(
         self, outcome: str, accepted: int, rejected: dict[str, int], arrival: float | None, seconds: float = 0.0
     ) -> None:
-        """One decided cloud; ``arrival`` is its monotonic time in seconds (None: taken up again after a restart),
-        ``seconds`` how long its integration took."""
+        """Count a decided cloud.
+
+        ``arrival`` is its monotonic time in seconds, None for a cloud from before a restart. Its integration took
+        ``seconds``.
+        """
         with self._lock:
             now = time.monotonic()
             if outcome == "integrated":
@@ -112,7 +115,7 @@ class Counters:
             self._counts.points_rejected.update(rejected)
 
     def pose(self, reason: str | None) -> None:
-        """One odometry message that reached the log: accepted, or the reason why not."""
+        """Count an odometry message that reached the log; ``reason`` is why it was rejected, None if it was not."""
         with self._lock:
             if reason is None:
                 self._counts.poses_accepted += 1
@@ -121,7 +124,7 @@ class Counters:
                 self._counts.poses_rejected[reason] += 1
 
     def refuse(self, code: str, robot: str = OTHERS) -> str:
-        """One message that never reached the log; returns the name under which to tell of it."""
+        """Count a message that never reached the log; return the robot's name for its log line."""
         with self._lock:
             self._counts.refused[code] += 1
             if len(self._refused_robots) < REFUSED_ROBOTS:
@@ -131,62 +134,63 @@ class Counters:
             return robot if robot in self._refused_robots else OTHERS
 
     def gap(self, robot: str, missing: int) -> None:
-        """``missing`` messages of a robot were lost on the way here."""
+        """Count ``missing`` messages of a robot that were lost on the way here."""
         with self._lock:
             self._counts.gaps[_bounded(robot, self._counts.gaps)] += missing
 
     def jump(self, robot: str) -> None:
-        """A robot's transform jumped."""
+        """Count a jump of a robot's transform."""
         with self._lock:
             self._counts.jumps[_bounded(robot, self._counts.jumps)] += 1
 
     def output_dropped(self, kind: str) -> None:
-        """One record of an answer ("queries") or an update ("updates") found no room on its way to the log."""
+        """Count a record of ``kind`` ("queries" or "updates") that found no room in the log's queue."""
         with self._lock:
             self._counts.outputs_dropped[kind] += 1
 
     def query(self, outcome: str, seconds: float) -> None:
-        """One query, from its arrival to its last reply; ``outcome`` is "ok" or a `QueryCode`."""
+        """Count a query and its time from arrival to last reply; ``outcome`` is "ok" or a `QueryCode`."""
         with self._lock:
             self._counts.queries.setdefault(outcome, Durations()).add(seconds)
 
     def log_synced(self, seconds: float) -> None:
-        """The log was brought to the disk."""
+        """Count an fsync of the log."""
         with self._lock:
             self._counts.log_sync.add(seconds)
 
     def snapshot(self) -> Counts:
-        """A copy that no longer changes."""
+        """Return a copy of all counters."""
         with self._lock:
             return deepcopy(self._counts)
 
     @property
     def overloaded(self) -> bool:
-        """Whether more comes in than can be integrated, or did until a moment ago (`OVERLOAD_SECONDS`)."""
+        """Whether more comes in than can be integrated, or did in the last `OVERLOAD_SECONDS`."""
         with self._lock:
             return time.monotonic() < self._overloaded_until
 
     def _window(self) -> list[tuple[float, float, int]]:
-        since = time.monotonic() - LAG_WINDOW
+        since = time.monotonic() - LAG_WINDOW_SECONDS
         with self._lock:
             return [sample for sample in self._recent if sample[0] >= since]
 
     def lag(self) -> Lag:
-        """Arrival to queryable over the last seconds."""
+        """Return the time from arrival to queryable over the last `LAG_WINDOW_SECONDS`."""
         lags = sorted(sample[1] for sample in self._window())
         if not lags:
             return Lag(None, None)
         return Lag(lags[len(lags) // 2], lags[min(len(lags) - 1, int(len(lags) * 0.99))])
 
     def rates(self) -> tuple[float, float, float]:
-        """Clouds, points and poses a second over the last seconds."""
+        """Return clouds, points and poses per second over the last `LAG_WINDOW_SECONDS`."""
         window = self._window()
-        since = time.monotonic() - LAG_WINDOW
+        since = time.monotonic() - LAG_WINDOW_SECONDS
         with self._lock:
             poses = sum(arrival >= since for arrival in self._recent_poses)
-        return len(window) / LAG_WINDOW, sum(sample[2] for sample in window) / LAG_WINDOW, poses / LAG_WINDOW
+        points = sum(sample[2] for sample in window)
+        return len(window) / LAG_WINDOW_SECONDS, points / LAG_WINDOW_SECONDS, poses / LAG_WINDOW_SECONDS
 
 
 def _bounded(robot: str, counts: Counter[str]) -> str:
-    """The name to count a robot under: names come from outside, before it is known whether the robot is let in."""
+    """Return the name to count a robot under: names come from outside, before the robot was admitted."""
     return robot if robot in counts or len(counts) < MAX_ROBOTS else OTHERS

@@ -1,15 +1,15 @@
-"""Names that are on the disk: what is created or renamed is safe only once its directory was synced."""
+"""Files and folders that survive a power cut: a new or renamed one is durable once its directory was synced."""
 
 import os
 from pathlib import Path
 from typing import IO
 
 HANG_SECONDS = 10.0
-"""A disk that has not done what it was asked for so long hangs: it may come back, and nobody should wait for that."""
+"""A disk that has not answered for this long hangs. It may come back, but nothing should wait for it."""
 
 
 def make_directory(directory: Path) -> None:
-    """Make a directory, and those above it that are missing, each durable in the one above."""
+    """Create a directory and its missing parents, each durable in the one above."""
     if not directory.is_dir():
         make_directory(directory.parent)
         directory.mkdir(exist_ok=True)
@@ -17,12 +17,12 @@ def make_directory(directory: Path) -> None:
 
 
 def sync_directory(directory: Path) -> None:
-    """Make names created or renamed in a directory durable."""
+    """Make the names created or renamed in a directory durable."""
     sync(directory)
 
 
 def sync(path: Path) -> None:
-    """Make what a file holds, or a directory names, durable, whoever wrote it."""
+    """Make the content of a file or directory durable, even if another process wrote it."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -31,11 +31,11 @@ def sync(path: Path) -> None:
 
 
 def open_lock(path: Path) -> IO[bytes]:
-    """Open a file to be locked, made if it isn't there; OSError where there is a link: its end is not ours."""
+    """Open a lock file, created if it is missing; OSError for a link, which could lead to a file that is not ours."""
     return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600), "ab")
 
 
 def create_new(path: Path) -> IO[bytes]:
-    """Make a file in place of one that a kill may have left; never what a link leads to."""
+    """Create a file in place of one that a kill may have left; never follow a link."""
     path.unlink(missing_ok=True)
     return path.open("xb")

@@ -1,4 +1,4 @@
-"""Who can reach the service: addresses judged, and what a session would let in."""
+"""Which Zenoh settings expose the service to the network."""
 
 import ipaddress
 import re
@@ -12,9 +12,9 @@ ON_THIS_MACHINE = frozenset({"unixsock-stream", "unixpipe"})
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether an address is reached from this machine only: an IP of loopback, ``[::1]`` too, or ``localhost``.
+    """Return whether an address is reached only from this machine: a loopback IP (``[::1]`` too) or ``localhost``.
 
-    No other name is looked up: what it stands for may change after the start.
+    Other names are not looked up, since their addresses may change after the start.
     """
     name = host.removeprefix("[").removesuffix("]").lower()
     if name == "localhost":
@@ -27,53 +27,53 @@ def is_loopback(host: str) -> bool:
 
 
 def is_private(endpoint: str) -> bool:
-    """Tell whether a Zenoh endpoint stays on this machine."""
+    """Return whether a Zenoh endpoint stays on this machine."""
     protocol, _, rest = endpoint.partition("/")
     address = re.split(r"[?#]", rest, maxsplit=1)[0]
     return protocol in ON_THIS_MACHINE or is_loopback(address.rpartition(":")[0])
 
 
 def is_encrypted(endpoint: str) -> bool:
-    """Tell whether what goes over a Zenoh endpoint is encrypted."""
+    """Return whether a Zenoh endpoint is encrypted."""
     return endpoint.partition("/")[0] in ENCRYPTED
 
 
 def exposures(config: zenoh.Config) -> list[str]:
-    """Name what of a session lets in whoever is on the network, unencrypted; empty if nothing does.
+    """Return the settings of a session that let in anyone on the network without TLS, each with its reason.
 
-    Each begins with the path of the Zenoh setting.
+    Each text begins with the path of the Zenoh setting.
     """
     found = []
     for endpoint in endpoints_of(config, "listen"):
         shown = f"listen.endpoints: {endpoint.partition('#')[0]} is open to"
         if not is_private(endpoint) and not is_encrypted(endpoint):
             found.append(f"{shown} the network without TLS")
-        elif endpoint.startswith("ws/"):  # which browsers speak, and Zenoh asks no page where it is from
+        elif endpoint.startswith("ws/"):  # browsers speak it, and Zenoh does not check the origin of a page
             found.append(f"{shown} any page in a browser of this machine")
     mode = setting(config, "mode") or "peer"
     protocols = setting(config, "transport/link/protocols")
     if protocols and ENCRYPTED.issuperset(protocols):
         return found
-    joins = mode != "client" or not endpoints_of(config, "connect")  # a client that knows whereto asks nobody
-    if joins and setting(config, "scouting/multicast/enabled") is not False:  # on by default
-        found.append("scouting.multicast: joins whatever Zenoh programs there are on the network, without TLS")
+    scouts = mode != "client" or not endpoints_of(config, "connect")  # a client with an endpoint has no need to
+    if scouts and setting(config, "scouting/multicast/enabled") is not False:  # on by default
+        found.append("scouting.multicast: connects to any Zenoh program on the network without TLS")
     beyond = [one for which in ("listen", "connect") for one in endpoints_of(config, which) if not is_private(one)]
     if mode == "peer" and beyond and setting(config, "scouting/gossip/enabled") is not False:
-        # A neighbour may name any address, and a peer connects to it: around the access control of a router.
-        found.append("scouting.gossip: connects to whatever peers it is told of, without TLS")
+        # A neighbour may name any address, and a peer connects to it, past the access control of a router.
+        found.append("scouting.gossip: connects to any peer that another one names, without TLS")
     return found
 
 
 def weaknesses(config: zenoh.Config) -> list[str]:
-    """Name what is allowed, but worth a warning: no check of who connects, and unencrypted links to elsewhere."""
+    """Return what is allowed but deserves a warning: anyone may connect, or links to other machines are unencrypted."""
     found = []
     open_to = [one for one in endpoints_of(config, "listen") if not is_private(one) and is_encrypted(one)]
     checks = setting(config, "transport/link/tls/enable_mtls") or setting(
         config, "transport/auth/usrpwd/dictionary_file"
     )
     if open_to and not checks:
-        found.append(f"{open_to[0].partition('#')[0]} asks nobody for a certificate or password (zenoh.authority)")
+        found.append(f"{open_to[0].partition('#')[0]} requires neither a certificate nor a password (zenoh.authority)")
     plain = [one for one in endpoints_of(config, "connect") if not is_private(one) and not is_encrypted(one)]
     if plain:
-        found.append(f"what goes to {plain[0].partition('#')[0]} is not encrypted")
+        found.append(f"the link to {plain[0].partition('#')[0]} is not encrypted")
     return found

@@ -1,4 +1,4 @@
-"""The log's directory and the store: made, closed to strangers, and held against a second service."""
+"""Locks on the log directory and the store, against a second service and other users of the machine."""
 
 import fcntl
 import os
@@ -12,20 +12,20 @@ from roughmap_service.host.disk import make_directory, open_lock
 
 
 class LockError(ReportedError):
-    """Log or store can't be this service's; one line that names the place and the mend."""
+    """The log directory or the store can't be used by this service; one line with the place and the remedy."""
 
     exit_code = 2
 
 
 @contextmanager
 def locked(directory: Path, store: Path | None) -> Iterator[None]:
-    """Hold the log directory and the store against a second service."""
+    """Create the log directory and the store's folder, and lock both against a second service; LockError."""
     locks = {"log.directory": directory / ".lock"}
     if store is not None:
         if store.is_dir():
             raise LockError(f"store.path: {store} is a folder; name a file, such as {store / 'map.db'}")
         if store.is_symlink():
-            raise LockError(f"store.path: {store} is a link; name the file that it leads to")
+            raise LockError(f"store.path: {store} is a link; name the file it leads to")
         locks["store.path"] = store.with_name(store.name + ".lock")
     with ExitStack() as stack:
         for setting, path in locks.items():
@@ -33,8 +33,8 @@ def locked(directory: Path, store: Path | None) -> Iterator[None]:
                 make_directory(path.parent)
             if path.parent.stat().st_mode & stat.S_IWOTH:
                 raise LockError(
-                    f"{path.parent}: everybody on this machine may write there, and forge the map; give log.directory "
-                    "and store.path folders of their own, or chmod o-w"
+                    f"{path.parent}: every user of this machine may write there and could forge the map; run chmod o-w "
+                    "on it, or set log.directory and store.path to other folders"
                 )
             with _writing(setting, path):
                 handle = stack.enter_context(open_lock(path))
@@ -49,11 +49,13 @@ def locked(directory: Path, store: Path | None) -> Iterator[None]:
 
 @contextmanager
 def _writing(setting: str, path: Path) -> Iterator[None]:
-    """What is made in here is made in a place that can be: LockError that names the setting where it can't. A disk
-    that is full or broken is no matter of settings: a later start may find it well."""
+    """Turn an OSError over a place that can't be written into a LockError that names the setting.
+
+    Errors of a full or broken disk pass: no setting is wrong, and a later start may succeed.
+    """
     try:
         yield
     except (PermissionError, FileExistsError, FileNotFoundError, NotADirectoryError) as error:
-        mend = f"let the user {os.getuid()} write there, or set {setting} to another place"
+        remedy = f"let the user {os.getuid()} write there, or set {setting} to another place"
         cause = "a file is in its way" if isinstance(error, FileExistsError) else error.strerror
-        raise LockError(f"{setting}: {path} can't be written: {cause}; {mend}") from None
+        raise LockError(f"{setting}: {path} can't be written: {cause}; {remedy}") from None

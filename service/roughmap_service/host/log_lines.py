@@ -1,4 +1,4 @@
-"""Log lines on stderr: one a notable event, as JSON or for reading, repeats counted instead of told."""
+"""Log lines on stderr: JSON or text, with repeats counted instead of printed."""
 
 import io
 import json
@@ -16,26 +16,30 @@ from typing import Any, Literal, TextIO
 Format = Literal["auto", "json", "text"]
 
 REPEAT_SECONDS, REPEATS = 60.0, 5
-"""Of lines of one kind (one robot, one reason) so many are told in so many seconds, and then how many were not."""
+"""At most REPEATS lines of one kind (one robot, one reason) are printed in REPEAT_SECONDS; the others are counted."""
 
 MAX_KINDS = 1024
-"""Kinds of lines that are remembered for that: robots' names come from outside."""
-
+"""The most kinds of lines that are counted: they contain robots' names, which come from outside."""
 
 STALL_MS = 200
-"""Whoever reads the lines and takes none for so long is not waited for again: a terminal that is stopped (Ctrl-S), or a
-collector that hangs, must not stop the map. Lines that are not taken are lost, and counted."""
+"""A reader that takes nothing for this long is not waited for again: a stopped terminal (Ctrl-S) or a collector that
+hangs must not stop the map. The lines it does not take are lost, and counted."""
 
 
 def note(logger: logging.Logger, level: int, event: str, text: str, *, always: bool = False, **fields: Any) -> None:
-    """Log a notable event: its name and plain values for programs, ``text`` for people. ``always``: each one is told,
-    as of a state that was entered or left."""
+    """Log a notable event: ``event`` and ``fields`` for programs, ``text`` for people.
+
+    With ``always`` it is printed however often it repeats, for a state that was entered or left.
+    """
     logger.log(level, "%s", text, extra={"event": event, "fields": fields, "always": always})
 
 
 def printable(text: str) -> str:
-    """The text with what prints nothing written out (``\\x1b``): a terminal obeys it, and a line's end forges a line.
-    What robots and others send is told in messages."""
+    """Return the text with its unprintable characters escaped (``\\x1b``).
+
+    Log lines quote what robots and others send: a terminal would obey control characters, and a line break would forge
+    a line.
+    """
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
@@ -49,16 +53,16 @@ def set_up(log_format: Format, level: str, stream: TextIO) -> None:
 
 @dataclass
 class _Kind:
-    """Lines of one kind since a moment: how many were told and how many were not, and the last of these."""
+    """Lines of one kind since a moment: how many were printed, how many were held back, and the last of the latter."""
 
     since: float
-    told: int = 0
+    printed: int = 0
     held: int = 0
     last: logging.LogRecord | None = None
 
 
 class Lines(logging.StreamHandler[TextIO]):
-    """Writes a few lines of each kind at a time; the others are counted, and told with the next one or at the end."""
+    """Prints a few lines of each kind at a time; the others are counted, and reported with the next or at the end."""
 
     def __init__(self, stream: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(stream)
@@ -67,13 +71,13 @@ class Lines(logging.StreamHandler[TextIO]):
         self._counting = threading.Lock()
         self._lost = 0
         self._poll: select.poll | None = None
-        with suppress(io.UnsupportedOperation, ValueError):  # of a stream that is no file, and takes all
+        with suppress(io.UnsupportedOperation, ValueError):  # not a file: it takes everything
             number = stream.fileno()
             self._poll = select.poll()
             self._poll.register(number, select.POLLOUT)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write the record, or count it."""
+        """Print the record or count it."""
         fields = getattr(record, "fields", {})
         kind = (
             record.name,
@@ -82,21 +86,21 @@ class Lines(logging.StreamHandler[TextIO]):
             fields.get("robot"),
             fields.get("reason"),
         )
-        if getattr(record, "always", False) or self._may_tell(kind, record):
+        if getattr(record, "always", False) or self._may_print(kind, record):
             self._write(record)
 
     def _write(self, record: logging.LogRecord) -> None:
-        """Write the record, unless the stream takes nothing."""
+        """Print the record, unless the stream takes nothing."""
         if self._poll is not None and not self._poll.poll(0 if self._lost else STALL_MS):
             self._lost += 1
             return
         if self._lost:
-            told = f"{self._lost} log lines are lost: nobody took them"
+            text = f"{self._lost} log lines are lost: stderr was blocked"
             self._lost = 0
-            super().emit(logging.LogRecord(__name__, logging.WARNING, __file__, 0, told, None, None))
+            super().emit(logging.LogRecord(__name__, logging.WARNING, __file__, 0, text, None, None))
         super().emit(record)
 
-    def _may_tell(self, kind: tuple[object, ...], record: logging.LogRecord) -> bool:
+    def _may_print(self, kind: tuple[object, ...], record: logging.LogRecord) -> bool:
         with self._counting:
             now, known = self._clock(), self._kinds.get(kind)
             if known is None or now - known.since >= REPEAT_SECONDS:
@@ -105,14 +109,14 @@ class Lines(logging.StreamHandler[TextIO]):
                 self._kinds.move_to_end(kind)
                 while len(self._kinds) > MAX_KINDS:
                     self._kinds.popitem(last=False)
-            if known.told < REPEATS:
-                known.told += 1
+            if known.printed < REPEATS:
+                known.printed += 1
                 return True
             known.held, known.last = known.held + 1, record
             return False
 
     def close(self) -> None:
-        """Tell the last line of each kind that was counted, and how many there were before it."""
+        """Print the last line of each kind that was counted, with the number of those before it."""
         with self._counting:
             kinds = list(self._kinds.values())
             self._kinds.clear()
@@ -124,22 +128,22 @@ class Lines(logging.StreamHandler[TextIO]):
 
 
 class TextFormatter(logging.Formatter):
-    """``12:00:03 WARNING text``, in local time, for a person at a terminal."""
+    """``12:00:03 WARNING text`` in local time, for a terminal."""
 
     def __init__(self) -> None:
         super().__init__("%(asctime)s %(levelname)s %(message)s", "%H:%M:%S")
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's own name
-        """The line, with how many like it were not told."""
+        """Return the line with the number of its repeats that were not printed."""
         repeats = getattr(record, "repeats", 0)
         return printable(super().formatMessage(record)) + (f" (and {repeats} more like it before)" if repeats else "")
 
 
 class JsonFormatter(logging.Formatter):
-    """One JSON object a line: time (UTC), level, event where it is a notable one, message, and the event's values."""
+    """One JSON object per line: time (UTC), level, event if it is a notable one, message, and the event's fields."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line."""
+        """Return the line."""
         line: dict[str, Any] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),

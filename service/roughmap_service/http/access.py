@@ -1,4 +1,4 @@
-"""Who may see the pages: methods, token, host; and the headers that every answer carries."""
+"""Which requests are answered, by method, token and host; and the security headers of every response."""
 
 import base64
 import binascii
@@ -12,10 +12,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from roughmap_service.host.exposure import is_loopback
 
 OPEN = frozenset({"/healthz", "/readyz"})
-"""Paths that need no token: what probes them can't have one. They name no file and no robot without it."""
+"""Paths that need no token, since probes have none. Without a token they name no file and no robot."""
 
 AUTHORISED = "roughmap.authorised"
-"""In the scope of a request: whether it may see all."""
+"""Key in a request's scope: whether the request may see everything."""
 
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -24,14 +24,15 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-"""On every answer that doesn't set its own."""
+"""Set on every response that does not set its own."""
 
 
 class Access:
-    """Stands before an ASGI application, answers what may not pass, and adds the headers.
+    """ASGI middleware that refuses requests and adds the headers.
 
-    ``on_loopback``: the service listens on loopback only. There, without a token, a page in a browser of this machine
-    must not reach it under a name that it made point here; so only loopback's own names are answered.
+    ``on_loopback``: the service listens on loopback only. If there is no token either, only loopback's own names are
+    answered: otherwise a web page in a browser on this machine could read the pages through a host name that resolves
+    to loopback (DNS rebinding).
     """
 
     def __init__(self, app: ASGIApp, token: bytes | None, *, on_loopback: bool) -> None:
@@ -40,7 +41,7 @@ class Access:
         self._own_names_only = on_loopback and token is None
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request."""
+        """Handle one request."""
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -49,20 +50,24 @@ class Access:
                     headers.setdefault(name, value)
             await send(message)
 
-        answer = self._refusal(scope) or self._app
-        await answer(scope, receive, send_with_headers)
+        respond = self._refusal(scope) or self._app
+        await respond(scope, receive, send_with_headers)
 
     def _refusal(self, scope: Scope) -> Response | None:
         headers = Headers(scope=scope)
         if scope["method"] not in ("GET", "HEAD"):
-            return _refuse(405, "only GET and HEAD", {"Allow": "GET, HEAD"})
+            return _refuse(405, "only GET and HEAD are allowed", {"Allow": "GET, HEAD"})
         if headers.get("content-length", "0") != "0" or "transfer-encoding" in headers:
-            return _refuse(413, "a request here has no body")
+            return _refuse(413, "requests must not have a body")
         if self._own_names_only and "host" in headers and not is_loopback(_host(headers["host"])):
-            return _refuse(421, "this address answers to localhost only")
+            return _refuse(421, "this address is served under the name localhost only")
         scope[AUTHORISED] = self._token is None or _shown(headers.get("authorization", ""), self._token)
         if not scope[AUTHORISED] and scope["path"] not in OPEN:
-            return _refuse(401, "the service's http token is needed", {"WWW-Authenticate": 'Basic realm="roughmap"'})
+            return _refuse(
+                401,
+                "the token of the service is required (http.token_file)",
+                {"WWW-Authenticate": 'Basic realm="roughmap"'},
+            )
         return None
 
 
@@ -78,9 +83,9 @@ def _host(header: str) -> str:
 
 
 def _shown(authorization: str, token: bytes) -> bool:
-    """Whether the header holds the token: ``Bearer TOKEN``, or ``Basic`` with it as the password (what browsers do)."""
+    """Return whether the header holds the token: ``Bearer TOKEN``, or ``Basic`` with it as the password (browsers)."""
     scheme, _, value = authorization.partition(" ")
-    shown = value.encode("latin-1")  # the bytes as they came
+    shown = value.encode("latin-1")  # the bytes as received
     if scheme.lower() == "basic":
         try:
             shown = base64.b64decode(value, validate=True).partition(b":")[2]

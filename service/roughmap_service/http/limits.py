@@ -1,4 +1,4 @@
-"""uvicorn with the bounds that it lacks: of connections, and of how long one may be held."""
+"""uvicorn with two bounds that it lacks: the number of connections, and how long one may be held."""
 
 import asyncio
 import socket
@@ -10,38 +10,42 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 MAX_CONNECTIONS = 64
-"""A scraper, a probe and a few browsers; each connection costs a descriptor, which log and Zenoh need too."""
+"""Enough for a scraper, a probe and a few browsers. Each connection takes a file descriptor, and the log and Zenoh
+need them too."""
 
 RESPONSE_SECONDS = 10.0
-"""So long after it was opened, or after its last response, a connection must have asked and been answered."""
+"""A connection is closed if it completes no response for this long."""
 
 MAX_HEADERS = 16 << 10
-"""Bytes of a request's line and headers."""
+"""Largest request line and headers, in bytes."""
 
 
 class BoundedProtocol(H11Protocol):
-    """One connection: closed when no response completes in time, whoever is slow; and where there are too many, the one
-    that was opened or answered the longest ago: who holds many open keeps out no probe, which is answered at once."""
+    """One connection, closed if no response completes in time.
+
+    If there are too many connections, the one that was opened or answered the longest ago is closed. So a client that
+    holds many open cannot keep out a probe, which is answered at once.
+    """
 
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """As uvicorn, within the bounds."""
+        """Accept the connection, and close the oldest one if there are too many."""
         super().connection_made(transport)
         self._arm()
         if len(self.connections) > MAX_CONNECTIONS:
             connections: set[Any] = {*self.connections}
             oldest = min(connections, key=lambda one: one._deadline.when())
-            self.connections.discard(oldest)  # now, since its end is told later: many may come at once
+            self.connections.discard(oldest)  # now: its end is reported later, and many may come at once
             oldest._let_go()
 
     def on_response_complete(self) -> None:
-        """As uvicorn; the next response has its own time."""
+        """Start the time for the next response."""
         self._arm()
         super().on_response_complete()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """As uvicorn."""
+        """Stop the time."""
         if self._deadline is not None:
             self._deadline.cancel()
         super().connection_lost(exc)
@@ -53,13 +57,13 @@ class BoundedProtocol(H11Protocol):
 
     def _let_go(self) -> None:
         connection = self.transport.get_extra_info("socket")
-        # Reset it: what was sent and never read would else stay in the kernel for as long as the other side pleases.
+        # Reset it: otherwise the kernel would keep unread data for as long as the client likes.
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         self.transport.abort()
 
 
 def make_server(app: Callable[..., Any]) -> uvicorn.Server:
-    """A server of ``app`` with those bounds, quiet, and without a word on what it is."""
+    """Return a server of ``app`` with these bounds, without access log and without a Server header."""
     return uvicorn.Server(
         uvicorn.Config(
             app, http=BoundedProtocol, ws="none", lifespan="off", loop="asyncio", interface="asgi3", log_config=None,

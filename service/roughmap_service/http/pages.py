@@ -1,4 +1,4 @@
-"""The pages: is it alive, is it ready, its metrics, and an overview that links them."""
+"""The pages: ``/healthz``, ``/readyz``, ``/metrics``, and ``/``, an overview that links them."""
 
 from html import escape
 
@@ -20,14 +20,18 @@ PAGE = """<!doctype html>
 <table>
 {rows}
 </table>
-<p><a href="healthz">healthz</a> (alive) &middot; <a href="readyz">readyz</a> (taking in and answering)
+<p><a href="healthz">healthz</a> (alive) &middot; <a href="readyz">readyz</a> (accepting messages and answering queries)
 &middot; <a href="metrics">metrics</a> (Prometheus)</p>
 </body></html>
 """
 
 
 def application(sources: Sources) -> Starlette:
-    """The pages as an application. What may wait for a scan's integration runs in a thread, not in the event loop."""
+    """Return the pages as an application.
+
+    A new page is a function here and a path in ``pages``. A page that may wait for a scan's integration is a plain
+    function, which Starlette runs in a thread; a page that never waits is a coroutine.
+    """
 
     async def healthz(request: Request) -> Response:
         name = {"map": sources.map} if request.scope[AUTHORISED] and sources.map else {}
@@ -51,14 +55,14 @@ def application(sources: Sources) -> Starlette:
 
     pages = {"/": overview, "/healthz": healthz, "/readyz": readyz, "/metrics": metrics}
     app = Starlette(routes=[Route(path, page, methods=["GET"]) for path, page in pages.items()])
-    app.router.redirect_slashes = False  # it would send whoever asks to the host that the request named
+    app.router.redirect_slashes = False  # it would redirect to the host that the request names
     return app
 
 
 def _page(status: MapStatus, readiness: Readiness) -> str:
-    why = "; ".join(readiness.problems().values()) or "taking in and answering"
+    why = "; ".join(readiness.problems().values()) or "accepting messages and answering queries"
     rows = {
-        "sequence": f"{status.sequence}, of which {status.durable_sequence} on the disk",
+        "sequence": f"{status.sequence}, on disk up to {status.durable_sequence}",
         "up for": f"{status.uptime_s:.0f} s",
         "clouds": f"{status.clouds.accepted:,} ({status.rates.clouds:.1f}/s), {status.clouds.waiting} waiting",
         "points": f"{status.points.accepted:,} ({status.rates.points:,.0f}/s)",

@@ -1,4 +1,4 @@
-"""The HTTP server beside the map: a socket, a thread, an event loop of its own."""
+"""The HTTP server: a socket, and a thread with an event loop of its own."""
 
 import asyncio
 import logging
@@ -16,25 +16,27 @@ from roughmap_service.watch.readiness import Sources
 if TYPE_CHECKING:
     import uvicorn
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 CLOSE_SECONDS = 1.5
-"""How long requests that run get at the end, and uvicorn to notice it."""
+"""Longest wait at shutdown: for running requests, and until uvicorn notices."""
 
 
 class PortTaken(ReportedError):
-    """The address can't be listened on now; one line that names it and the mend. A later start may find it free."""
+    """The address can't be listened on now; a later start may find it free. The message is one line with the remedy."""
 
 
 class HttpServer:
     """Serves the pages while it is entered; ``url`` has the real port.
 
-    The socket is open from the start, so what is asked meanwhile waits for the event loop. PortTaken where it can't be
-    opened; HttpError where whoever is on the network could look in: neither loopback nor a token, unless ``insecure``.
+    The socket is open from the start, so early requests wait for the event loop.
+
+    Raises PortTaken if the socket can't be opened, and HttpError for an address other than loopback without a token,
+    unless ``insecure``.
     """
 
     def __init__(self, http: HttpConfig, sources: Sources, *, insecure: bool = False) -> None:
-        assert http.listen is not None  # noqa: S101 - else there is nothing to serve
+        assert http.listen is not None  # noqa: S101 - otherwise there is nothing to serve
         host, _, port = http.listen.rpartition(":")
         host = host.removeprefix("[").removesuffix("]")
         self._token = token_of(http)
@@ -43,19 +45,23 @@ class HttpServer:
         if not self._on_loopback and self._token is None:
             if not insecure:
                 raise HttpError(
-                    f"http.listen: {http.listen} is open to the network and there is no token; give one "
+                    f"http.listen: {http.listen} is open to the network without a token; set one "
                     "(http.token_file, or ROUGHMAP_HTTP__TOKEN), listen on 127.0.0.1, or start with --insecure"
                 )
-            log.warning("insecure: http.listen: whoever is on the network can see health and metrics")
+            logger.warning(
+                "http.listen: %s: anyone on the network can read health and metrics (--insecure)", http.listen
+            )
         elif not self._on_loopback:
-            log.warning("http.listen: pages and token go over the network unencrypted; have a proxy with TLS before it")
+            logger.warning(
+                "http.listen: %s: pages and token cross the network unencrypted; use a TLS proxy", http.listen
+            )
         try:
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
             self._socket = socket.create_server((host, int(port)), family=family, backlog=64)
         except OSError as error:
             why = str(error.strerror or error).partition(" (")[0]
             raise PortTaken(
-                f'http.listen: {http.listen}: {why}; set http.listen to another address, or to "" for none'
+                f'http.listen: {http.listen}: {why}; set http.listen to another address, or to "" to serve no pages'
             ) from None
         name = f"[{host}]" if ":" in host else host
         self.url = f"http://{name}:{self._socket.getsockname()[1]}"
@@ -77,7 +83,7 @@ class HttpServer:
         self._socket.close()
 
     def _run(self) -> None:
-        # Here, since they take a tenth of a second, while the session opens and the map is being recovered.
+        # Imported here: it takes a tenth of a second, in which the session opens and the map is recovered.
         from roughmap_service.http.access import Access  # noqa: PLC0415
         from roughmap_service.http.limits import make_server  # noqa: PLC0415
         from roughmap_service.http.pages import application  # noqa: PLC0415
@@ -87,5 +93,5 @@ class HttpServer:
         self._server.should_exit = self._ending.is_set()
         try:
             asyncio.run(self._server.serve(sockets=[self._socket]))
-        except Exception:  # the map must not end with its pages
-            log.exception("the http server failed; the map is kept without it")
+        except Exception:  # the map is served even without its pages
+            logger.exception("the HTTP server failed; the service runs on without its pages")

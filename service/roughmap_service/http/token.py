@@ -1,4 +1,4 @@
-"""The token that the pages want to be shown."""
+"""The token that requests must show."""
 
 from pathlib import Path
 
@@ -7,13 +7,13 @@ from roughmap_schemas.sections import HttpConfig
 
 
 class HttpError(ReportedError):
-    """The pages can't be served as configured; one line that names what to change."""
+    """The pages can't be served as configured. The message is one line and names what to change."""
 
     exit_code = 2
 
 
 def token_of(http: HttpConfig) -> bytes | None:
-    """The token that must be shown, from the environment or its file; None if there is none. HttpError."""
+    """Return the token from the environment or its file, None if there is none; raise HttpError."""
     if http.token is not None:
         return http.token.get_secret_value().encode()
     if http.token_file is None:
@@ -23,5 +23,5 @@ def token_of(http: HttpConfig) -> bytes | None:
     except OSError as error:
         raise HttpError(f"http.token_file: {http.token_file}: {error.strerror}") from None
     if not token:
-        raise HttpError(f"http.token_file: {http.token_file}: is empty; write a token of your own into it")
+        raise HttpError(f"http.token_file: {http.token_file} is empty; write a token into it")
     return token

@@ -1,1 +1,11 @@
-"""From the network to the queue: the Zenoh session, subscriptions, the input queue, admission and receipts."""
+"""From the network to the input queue.
+
+    session.py         the Zenoh session, and the claim on the map's name
+    subscriptions.py   subscribers and ingest queryables: key, encoding and size are checked in Zenoh's threads
+    queue.py           the input queue: bounded, fair between robots
+    admission.py       the checks before a message is logged; how a refused one is counted and shown
+    receipts.py        the answers to ingest requests
+
+A new kind of input: its codec in `roughmap_schemas`, its `Kind` and key, a line in subscriptions.py and in
+`run/decoding.py`, and what it does in `Run.take`.
+"""

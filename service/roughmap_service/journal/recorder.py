@@ -21,10 +21,8 @@ class Recorder:
 
     def event(self, event: Event, now_ns: int) -> None:
         """Log an event."""
-        self._writer.put(event_record(self._keys.events, event, now_ns))
-
-
-def event_record(topic: str, event: Event, now_ns: int) -> LogRecord:
-    """Return an event as a record for the log."""
-    payload = encode_event(event)
-    return LogRecord(Kind.EVENTS, topic, payload, now_ns, now_ns, epoch=event.epoch, sequence=event.sequence)
+        record = LogRecord(
+            Kind.EVENTS, self._keys.events, encode_event(event), now_ns, now_ns,
+            epoch=event.epoch, sequence=event.sequence,
+        )  # fmt: skip
+        self._writer.put(record)

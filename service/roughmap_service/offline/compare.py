@@ -1,4 +1,4 @@
-"""How two maps differ, layer by layer: what `replay --what-if` tells."""
+"""Compare two maps layer by layer, for `replay --what-if`."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,15 +12,15 @@ from roughmap.reading.frozen import FrozenMap
 from roughmap.reading.layers import LAYERS
 
 SKIPPED = ("age",)
-"""Layers that say when, not what: they differ by nothing that a setting changes."""
+"""Layers of time, which no setting changes."""
 
 ZERO_IS_UNKNOWN = ("count", "weight")
-"""Layers that are 0, not NaN, where nothing is known."""
+"""Layers that are 0, not NaN, in unknown cells."""
 
 
 @dataclass(frozen=True, slots=True)
 class LayerDifference:
-    """One layer over the places that both maps know; heights in metres, and so on as the layer."""
+    """How a layer differs between two maps, over the ``cells`` known in both; in the layer's unit."""
 
     layer: str
     cells: int
@@ -36,14 +36,14 @@ Arrays = dict[str, npt.NDArray[np.float64]]
 
 
 def compare(before: RoughMap, now: RoughMap) -> list[LayerDifference]:
-    """Every layer of two maps, at the cell centres of the one with the larger cells."""
+    """Return the difference of each layer, at the cell centres of the map with the larger cells."""
     names = [name for name in LAYERS if name not in SKIPPED]
     pairs: dict[str, list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]] = {name: [] for name in names}
     for ours, theirs in _blocks(before, now, names):
         for name in names:
             a, b = ours[name], theirs[name]
-            told = _known(name, a) | _known(name, b)
-            pairs[name].append((a[told], b[told]))
+            known = _known(name, a) | _known(name, b)
+            pairs[name].append((a[known], b[known]))
     return [_difference(name, pairs[name]) for name in names]
 
 
@@ -53,11 +53,11 @@ def _known(name: str, values: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
 
 
 def _blocks(before: RoughMap, now: RoughMap, names: list[str]) -> Iterator[tuple[Arrays, Arrays]]:
-    """Both maps' layers at the same places, a tile of the coarser map at a time."""
+    """Yield both maps' layers at the same places, one tile of the coarser map at a time."""
     coarse, fine = (before, now) if before.cell_size >= now.cell_size else (now, before)
     side = coarse.cell_size
     with coarse.freeze() as held, fine.freeze() as finer:
-        # The finer map's tiles are no larger than the coarser one's but may lie over an edge of theirs.
+        # A tile of the finer map is not larger than one of the coarser map, but may lie across its edge.
         corners = [
             (finer.tiles + corner) * (fine.cell_size / side) - np.array(corner) * 1e-9
             for corner in ((0, 0), (0, 1), (1, 0), (1, 1))
@@ -73,9 +73,9 @@ def _blocks(before: RoughMap, now: RoughMap, names: list[str]) -> Iterator[tuple
 
 
 def _cells(tile: int, side: float, fine: RoughMap) -> npt.NDArray[np.int64]:
-    """(64,): in which of the finer map's cells, along one axis, the cell centres of a coarser tile lie."""
+    """Return the finer map's cells (64,), along one axis, at the cell centres of a coarser tile."""
     centres = (tile * TILE_CELLS + np.arange(TILE_CELLS) + 0.5) * side
-    # Where grids are halves of each other a centre lies on a border: the hair takes the same side everywhere.
+    # If one cell size is twice the other, centres lie on borders: 1e-9 puts all of them on the same side.
     cells: npt.NDArray[np.int64] = np.floor(centres / fine.cell_size + 1e-9).astype(np.int64)
     return cells
 
@@ -87,7 +87,7 @@ def _sampled(
     columns: npt.NDArray[np.int64],
     rows: npt.NDArray[np.int64],
 ) -> Arrays:
-    """The finer map's layers in these cells; of its tiles only those that are there are looked at, one at a time."""
+    """Return the finer map's layers in these cells; reads only ``known`` tiles, one at a time."""
     out = {name: np.full((len(rows), len(columns)), np.nan) for name in names}
     tile_columns, tile_rows = columns >> TILE_SHIFT, rows >> TILE_SHIFT
     for x in np.unique(tile_columns).tolist():

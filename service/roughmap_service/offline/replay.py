@@ -1,4 +1,4 @@
-"""A run once more: integrates a log again, as its events say, and compares with what was logged."""
+"""Replay: integrate a log again, by its events, and compare with the logged results."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -19,14 +19,14 @@ from roughmap_service.store.snapshots import take_cut
 
 
 class ReplayError(ReportedError):
-    """These logs can't be replayed as asked; one line."""
+    """The logs can't be replayed as requested; one line."""
 
     exit_code = 2
 
 
 @dataclass
 class Replayed:
-    """A replay's end. ``difference`` is None where all that was compared is equal; ``config`` is the last file's."""
+    """The result of a replay. ``difference`` is None if everything was equal; ``config`` is the last file's."""
 
     run_id: str
     config: Config
@@ -37,7 +37,7 @@ class Replayed:
 
     @property
     def verdict(self) -> str:
-        """The last line on stdout."""
+        """The last line of `roughmap replay`."""
         if self.difference is not None:
             return f"differs at {self.difference}"
         rough_map = self.run.map
@@ -48,10 +48,10 @@ Watch = Callable[[Step], None]
 
 
 def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watch | None = None) -> Replayed:
-    """Integrate the logs again and compare each event and checkpoint; ends at the first difference.
+    """Integrate the logs again and compare each event and checkpoint; stop at the first difference.
 
-    ``from_store`` is the map.db at whose cut the logs begin, where they don't begin with the run. LogError or
-    ReplayError where the logs are no whole run. An event that can't be done at its place of the log is a difference.
+    ``from_store`` is the map.db from which the logs continue, if they do not begin with the run. LogError or
+    ReplayError if the logs are not one complete run. An event that can't be applied at its place is a difference.
     """
     files = one_run(find_files(paths))
     config = config_of(files[0])
@@ -62,7 +62,7 @@ def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watc
 
     def items() -> Iterator[LogItem]:
         nonlocal reached
-        for reached in read_run(files):  # noqa: UP028 - it is also what a RunError is about
+        for reached in read_run(files):  # noqa: UP028 - a RunError is about the last item
             yield reached
 
     try:
@@ -83,11 +83,11 @@ def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watc
         return result
     if from_store is not None and run.record == taken:
         raise ReplayError(
-            f"{from_store} holds all of this log already (sequence {run.map.sequence}): nothing is left to compare; "
-            "replay without --from compares the whole run"
+            f"{from_store} already contains all of this log (sequence {run.map.sequence}), so there is nothing to "
+            "compare; without --from the whole run is compared"
         )
     if not result.checkpoints:
-        raise ReplayError("the logs hold no checkpoint to compare with")
+        raise ReplayError("the logs contain no checkpoint to compare with")
     return result
 
 
@@ -97,8 +97,11 @@ def what_if(
     *,
     watch: Callable[[Step, Run], None] | None = None,
 ) -> Run:
-    """Integrate the logs again with the poses that the events name, each file under what ``change`` makes of its
-    settings; nothing is compared. Errors as `replay`, and RunError where an event can't be done under the settings."""
+    """Integrate the logs again with changed settings, and with the poses that the events name; compare nothing.
+
+    ``change`` is applied to the settings of each file. Errors as `replay`, and RunError if an event can't be applied
+    with these settings.
+    """
     files = one_run(find_files(paths))
     config = change(config_of(files[0]))
     run = Run(Settings(config), new_map(config))
@@ -106,7 +109,7 @@ def what_if(
 
     def items() -> Iterator[LogItem]:
         for item in read_run(files):
-            yield _anew(item, change)
+            yield _with_settings(item, change)
 
     for step in fold(run, items()):
         if watch is not None:
@@ -114,8 +117,8 @@ def what_if(
     return run
 
 
-def _anew(item: LogItem, change: Callable[[Config], Config]) -> LogItem:
-    """An item of the log as it is taken under other settings: what was refused for its tiles is placed again."""
+def _with_settings(item: LogItem, change: Callable[[Config], Config]) -> LogItem:
+    """Return a log item as it is under other settings: clouds rejected as `too_many_tiles` are integrated again."""
     if isinstance(item, FileStart):
         return with_values(item, config=change(item.config))
     if isinstance(item, EventRecord) and isinstance(event := item.event, IntegrationEvent):
@@ -125,7 +128,7 @@ def _anew(item: LogItem, change: Callable[[Config], Config]) -> LogItem:
 
 
 def config_of(file: RunFile) -> Config:
-    """The settings with which a file begins; LogError if they can't be read."""
+    """Return the settings of a log file; LogError if they can't be read."""
     try:
         return Config.from_log(file.metadata.configuration)
     except ValueError as error:
@@ -133,36 +136,38 @@ def config_of(file: RunFile) -> Config:
 
 
 def _begin(files: Sequence[RunFile], run: Run, from_store: Path | None) -> tuple[int, int]:
-    """Bring the state to where the logs begin; returns the record and the low-water input from which they count."""
+    """Bring the state to where the logs begin; return the record and the low-water input there."""
     first = files[0].metadata
     if from_store is None:
         if first.base_sequence or first.first_record > 1:
             raise ReplayError(
-                f"{files[0].path.name} begins at record {first.first_record} (sequence {first.base_sequence}), not "
-                "where the run does: give the map.db that it goes on from (--from map.db), or the files before it"
+                f"{files[0].path.name} begins at record {first.first_record} (sequence {first.base_sequence}), "
+                "not at the beginning of the run: add the files before it, or its map.db (--from map.db)"
             )
         return 0, 1
     store = Store(from_store)
     cut = store.read_cut()
     if cut is None:
-        raise ReplayError(f"{from_store}: no map is stored there")
+        raise ReplayError(f"{from_store}: contains no map")
     if cut.run != first.run:
-        raise ReplayError(f"{from_store} is of run {cut.run[:8]}, the logs are of run {first.run[:8]}")
+        raise ReplayError(f"{from_store} belongs to run {cut.run[:8]}, the logs to run {first.run[:8]}")
     if cut.record + 1 < first.first_record:
-        raise ReplayError(f"gap: {from_store} ends at record {cut.record}, the logs begin at {first.first_record}")
+        raise ReplayError(
+            f"gap: {from_store} ends at record {cut.record}, the logs begin at record {first.first_record}"
+        )
     if first.first_input > cut.low_water:
         raise ReplayError(
-            f"gap: the logs begin at input {first.first_input}, and {from_store} waits for input {cut.low_water}"
+            f"gap: the logs begin at input {first.first_input}, but {from_store} needs input {cut.low_water} too"
         )
     if cut.configuration_digest != configuration_digest(run.settings.config):
-        raise ReplayError(f"{from_store} and the logs hold maps of other settings ([map])")
+        raise ReplayError(f"{from_store} and the logs have different settings in [map]")
     store.load_into(run.map, cut)
     take_cut(cut, run)
     return cut.record, cut.low_water
 
 
 def _compare(step: Step, run: Run, taken: int) -> str | None:
-    """What differs between a step and the log, None if nothing does."""
+    """Return what differs between a step and the log; None if nothing does."""
     item = step.item
     if isinstance(item, FileStart):
         base = item.metadata

@@ -1,4 +1,4 @@
-"""A replay's own log: the same inputs, and the events as they came out this time."""
+"""The log of a replay: the same inputs, and the events of this replay."""
 
 import errno
 import time
@@ -16,22 +16,22 @@ from roughmap_service.run.metadata import file_metadata
 from roughmap_service.run.run import Run
 
 CLOSE_SECONDS = 60.0
-"""How long the last bytes may take to the disk; nobody waits for anything else then."""
+"""Seconds that the last bytes may take to reach the disk; there is nothing else to do then."""
 
 ROOM_SECONDS = 60.0
-"""How long a disk may take to catch up before the replay gives up."""
+"""Seconds that the disk may take to catch up before the replay fails."""
 
 
 def check_empty(directory: Path) -> None:
-    """FileExistsError if the directory holds anything: a run's log is told from others by its folder."""
+    """Raise FileExistsError unless the directory is empty or new: logs of two runs must not share one."""
     if directory.exists() and any(directory.iterdir()):
-        raise FileExistsError(errno.EEXIST, "is not empty; name an empty or a new folder", str(directory))
+        raise FileExistsError(errno.EEXIST, "is not empty; name an empty or new folder", str(directory))
 
 
 class ReplayLog:
-    """Writes what a replay does as a new run into an empty or new directory; a context manager.
+    """Writes a replay as a new run into an empty or new directory; a context manager.
 
-    Where the replayed log began a file, perhaps under other settings, this one does too.
+    It begins a new file where the replayed log did, since the settings may change there.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -43,16 +43,16 @@ class ReplayLog:
         self._recorder: Recorder | None = None
 
     def take(self, step: Step, run: Run) -> None:
-        """Write one step, after which the run is as ``run`` says."""
+        """Write one step; ``run`` is as it is after the step."""
         item = step.item
         if isinstance(item, FileStart):
             self._begin(item.config, run)
             return
         writer, recorder = self._writer, self._recorder
-        if writer is None or recorder is None:  # every log begins with its first file's FileStart
+        if writer is None or recorder is None:  # a log begins with a FileStart
             return
         if not writer.wait_room(ROOM_SECONDS):
-            raise OSError(errno.EIO, writer.error or "the disk does not keep up", str(writer.path))
+            raise OSError(errno.EIO, writer.error or "the disk is too slow", str(writer.path))
         if isinstance(item, InputRecord):
             recorder.input(item.kind, item.robot, item.payload, item.received_ns, item.stamp_ns, item.number)
         elif step.outcome is not None:

@@ -1,4 +1,4 @@
-"""A robot's recent poses and transforms: which pose holds when, and which message said so."""
+"""A robot's recent poses and transforms, and the messages that they came from."""
 
 import math
 from bisect import bisect_left, bisect_right, insort
@@ -23,7 +23,7 @@ from roughmap_service.run.pose_algebra import (
 )
 
 STALE_ROW = 10
-"""So many stale poses in a row with rising stamps mean that the clock was set back (the design's)."""
+"""Stale poses in a row, with rising stamps, after which the robot's clock counts as set back."""
 
 
 MAX_POSES = 20_000
@@ -35,7 +35,11 @@ MAX_TRANSFORMS = 1_000
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """A robot's base in the map frame. ``covariance`` (6, 6) in map axes, None where the message told none."""
+    """A robot's base in the map frame.
+
+    ``covariance`` (6, 6) in map axes, None if the message has none. ``input`` is the odometry's input number,
+    ``transform`` the transform's (0: none).
+    """
 
     stamp_ns: int
     position: Vector
@@ -47,7 +51,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class StampedTransform:
-    """Where a child frame lies in the map frame from a stamp on."""
+    """The pose of a child frame in the map frame, valid from a stamp on."""
 
     stamp_ns: int
     input: int
@@ -57,9 +61,9 @@ class StampedTransform:
 
 @dataclass
 class PoseBuffer:
-    """Poses of one robot by stamp, over `history_ns`, and the transforms to the map frame.
+    """One robot's poses by stamp, over `history_ns`, and its transforms to the map frame.
 
-    It depends on the messages and their order alone, never on a clock, so that a replay has the same poses.
+    It depends on nothing but the messages and their order, so that a replay has the same poses.
     """
 
     frame_id: str
@@ -76,11 +80,11 @@ class PoseBuffer:
     jumps: int = 0
 
     def add(self, odometry: Odometry, number: int) -> tuple[PoseReason | None, bool]:
-        """Take up a pose; returns why not (None: taken) and whether this pose showed that the clock was reset."""
+        """Add a pose; returns why it is rejected (None: added), and whether it showed that the clock was reset."""
         pose = self._in_map_frame(odometry, number)
         if pose is None:
             return PoseReason.POSE_FRAME, False
-        # Turned into the map's axes, numbers next to the largest may overflow, which no covariance survives.
+        # Rotated into map axes, the largest numbers may overflow.
         if odometry.covariance_fault or (pose.covariance is not None and not np.isfinite(pose.covariance).all()):
             return PoseReason.BAD_COVARIANCE, False
         was_reset = False
@@ -102,7 +106,7 @@ class PoseBuffer:
         return None, was_reset
 
     def add_transform(self, transform: Transform, number: int) -> PoseReason | None:
-        """Take up a transform; one whose parent is not the map's frame helps nobody and is refused."""
+        """Add a transform; returns `pose_frame` if its parent is not the map's frame."""
         if transform.parent_frame_id != self.frame_id:
             return PoseReason.POSE_FRAME
         new = StampedTransform(
@@ -118,20 +122,20 @@ class PoseBuffer:
         return None
 
     def covers(self, first_ns: int, last_ns: int) -> bool:
-        """Poses at or before the first time and at or after the last are in."""
+        """Whether there is a pose at or before the first time and one at or after the last."""
         return bool(self.poses) and self.poses[0].stamp_ns <= first_ns and self.poses[-1].stamp_ns >= last_ns
 
     def window(self, first_ns: int, last_ns: int) -> list[Pose]:
-        """The poses that bracket and fill [first, last]; the buffer must cover it."""
+        """Return the poses from the last at or before ``first_ns`` to the first at or after ``last_ns``."""
         start = bisect_right(self.poses, first_ns, key=_stamp) - 1
         end = bisect_left(self.poses, last_ns, key=_stamp) + 1
         return self.poses[start:end]
 
     def named(self, references: Sequence[tuple[int, int]]) -> list[Pose]:
-        """The poses that an event names by (odometry input, transform input); KeyError for one that is not here."""
+        """Return the poses with these (odometry input, transform input); KeyError for one that is not here."""
         wanted = set(references)
         found: dict[tuple[int, int], Pose] = {}
-        for pose in reversed(self.poses):  # mostly the newest are meant, and there may be thousands
+        for pose in reversed(self.poses):  # mostly the newest are named, and there may be thousands
             if len(found) == len(wanted):
                 break
             if (pose.input, pose.transform) in wanted:
@@ -140,7 +144,7 @@ class PoseBuffer:
 
     def _trim(self) -> None:
         self.horizon_ns = max(self.horizon_ns, self.poses[-1].stamp_ns - self.history_ns)
-        # The last pose at or before the horizon stays: without it a time just after the horizon has no bracket.
+        # The last pose at or before the horizon stays, for times just after the horizon.
         keep = max(bisect_right(self.poses, self.horizon_ns, key=_stamp) - 1, 0)
         if len(self.poses) - keep > self.max_poses:
             keep = len(self.poses) - self.max_poses
@@ -148,8 +152,11 @@ class PoseBuffer:
         del self.poses[:keep]
 
     def _forget_transform(self) -> None:
-        """The first logged of the frame that has most: one that comes once is not driven out by one that comes often,
-        nor are a new clock's driven out by those of the clock before, whose stamps may be later."""
+        """Forget the first logged transform of the frame with most of them.
+
+        So a static transform is not pushed out by a frequent one, nor those of a new clock by those of the clock
+        before, whose stamps may be later.
+        """
         child, row = max(self.transforms.items(), key=lambda item: (len(item[1]), -min(t.input for t in item[1])))
         row.remove(min(row, key=lambda t: t.input))
         if not row:
@@ -170,7 +177,7 @@ class PoseBuffer:
         t = transform.translation
         placed = t[0] + moved[0], t[1] + moved[1], t[2] + moved[2]
         if not all(map(math.isfinite, placed)):
-            return None  # finite numbers whose sums are not: no transform that covers the pose
+            return None  # the sum of finite numbers may overflow
         return Pose(
             odometry.stamp_ns, placed, multiply(transform.rotation, rotation), covariance, number, transform.input
         )
@@ -180,7 +187,7 @@ class PoseBuffer:
         return step > self.jump_m or angle_between(old.rotation, new.rotation) > self.jump_rad
 
     def to_state(self) -> dict[str, Any]:
-        """Everything as JSON values, exactly (a float's shortest form reads back to the same bits)."""
+        """Return everything as JSON values. It is exact: a float's shortest form reads back to the same bits."""
         return {
             "poses": [
                 [p.stamp_ns, p.position, p.rotation, None if p.covariance is None else p.covariance.tolist(), p.input,
@@ -212,7 +219,7 @@ class PoseBuffer:
 
 
 def trajectory(poses: Sequence[Pose], unknown_covariance: Floats) -> Trajectory:
-    """Poses as the core takes them; ``unknown_covariance`` (6, 6) stands in where a message told none."""
+    """Return poses as the core takes them; ``unknown_covariance`` (6, 6) stands in where a message has none."""
     return Trajectory(
         np.array([p.stamp_ns for p in poses], np.int64),
         np.array([p.position for p in poses], np.float64),
@@ -222,12 +229,12 @@ def trajectory(poses: Sequence[Pose], unknown_covariance: Floats) -> Trajectory:
 
 
 def too_far_apart(poses: Sequence[Pose], max_gap_ns: float) -> bool:
-    """Two neighbours farther apart in time than ``max_gap_ns`` (which may be infinite)."""
+    """Whether two neighbours are farther apart in time than ``max_gap_ns`` (which may be infinite)."""
     return any(b.stamp_ns - a.stamp_ns > max_gap_ns for a, b in pairwise(poses))
 
 
 def too_fast(poses: Sequence[Pose], max_speed: float, max_turn: float) -> bool:
-    """Two neighbours that imply more than ``max_speed`` (m/s) or ``max_turn`` (rad/s)."""
+    """Whether two neighbours imply more than ``max_speed`` (m/s) or ``max_turn`` (rad/s)."""
     for a, b in pairwise(poses):
         seconds = (b.stamp_ns - a.stamp_ns) * 1e-9
         if math.dist(a.position, b.position) > max_speed * seconds:

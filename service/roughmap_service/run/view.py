@@ -1,4 +1,4 @@
-"""What readers see of the map: whole scans only, one sequence and one epoch at a time."""
+"""What readers see of the map: whole scans, at one sequence and epoch at a time."""
 
 import threading
 from collections import deque
@@ -13,7 +13,7 @@ from roughmap.tiles.index import TileBox, TileVersions
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """What the map was right before the change that is going on: enough for answers whose tiles are drawn already."""
+    """The map right before the present change: enough for answers whose tiles are already drawn."""
 
     epoch: int
     sequence: int

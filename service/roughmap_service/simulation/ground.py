@@ -1,7 +1,7 @@
-"""Synthetic ground whose true height is known everywhere: slopes, waves, rocks, a ditch and a wall.
+"""Synthetic ground of known height: slopes, waves, rocks, a ditch and a wall.
 
-The ground *is* the bilinear interpolation of a seeded grid, repeated without a seam every `PERIOD` metres: so the
-scanner's rays and whoever checks a map against the truth read the very same function, at any extent.
+The ground is the bilinear interpolation of a seeded grid, repeated without a seam every `PERIOD` metres. The scanner's
+rays and checks of a map use this same function, at any extent.
 """
 
 from typing import Any
@@ -12,24 +12,24 @@ import numpy.typing as npt
 from roughmap.jit import inline, kernel
 
 SPACING = 0.05
-"""Metres between grid nodes: half a default cell, so that a cell holds some of the ground's own shape."""
+"""Metres between grid nodes: half a default cell, so that the ground has some shape within a cell."""
 
 NODES = 2048
-"""A power of two: indices wrap by a mask."""
+"""Nodes per side: a power of two, so that indices wrap by a mask."""
 
 PERIOD = SPACING * NODES
 
 BLOCK = 16
-"""Nodes a side of the blocks whose highest point lets a ray skip them."""
+"""Nodes per side of a block. A ray skips the blocks whose highest point it passes above."""
 
 PATH_HALF_LENGTH, PATH_HALF_WIDTH = 11.0, 6.0
-"""The figure of eight that rovers drive, in metres from its centre; tall rocks and the wall stay off it."""
+"""The figure of eight that rovers drive, in metres from its centre. Tall rocks and the wall are beside it."""
 
 Floats = npt.NDArray[np.float64]
 
 
 def path(s: npt.ArrayLike) -> tuple[Floats, Floats]:
-    """The figure of eight at angle `s` (radians, period 2 pi): x and y in metres."""
+    """Return the figure of eight at angle `s` (radians, period 2 pi): x and y in metres."""
     angle = np.asarray(s, dtype=np.float64)
     return PATH_HALF_LENGTH * np.sin(angle), PATH_HALF_WIDTH * np.sin(2 * angle)
 
@@ -47,7 +47,7 @@ class Ground:
         self.top = float(self.grid.max())
 
     def height(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
-        """True height in metres at map positions `x`, `y` (any one shape, or shapes that broadcast)."""
+        """Return the true height in metres at map positions `x`, `y` (shapes that broadcast)."""
         xs, ys = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         out = np.empty(xs.size)
         _heights(self.grid, xs.ravel(), ys.ravel(), out)
@@ -56,7 +56,7 @@ class Ground:
 
 @inline
 def height_at(grid: Any, x: float, y: float) -> float:
-    """The ground at one point: bilinear between the four nodes around it."""
+    """Return the ground's height at one point, bilinear between the four nodes around it."""
     u = x / SPACING
     v = y / SPACING
     i = np.floor(u)
@@ -80,13 +80,13 @@ def _heights(grid: Any, x: Any, y: Any, out: Any) -> None:
 
 
 def _nodes() -> Floats:
-    """Node coordinates in metres, in the order of the grid: from 0 up, then the negative half."""
+    """Return the node coordinates in metres in the order of the grid: from 0 up, then the negative half."""
     index = np.arange(NODES)
     return np.where(index < NODES // 2, index, index - NODES) * SPACING
 
 
 def _waves(rng: np.random.Generator) -> Floats:
-    """Slopes and undulation: waves whose lengths divide the period, the longer the higher."""
+    """Return slopes and undulation: waves whose lengths divide the period; longer ones are higher."""
     grid = np.zeros((NODES, NODES))
     node = _nodes()
     for length, amplitude, count in ((51.2, 0.9, 3), (17.0, 0.25, 4), (5.1, 0.05, 6), (1.3, 0.012, 8)):
@@ -95,14 +95,14 @@ def _waves(rng: np.random.Generator) -> Floats:
             kx = round(PERIOD / length * np.cos(turn)) * 2 * np.pi / PERIOD
             ky = round(PERIOD / length * np.sin(turn)) * 2 * np.pi / PERIOD
             size = amplitude * rng.uniform(0.4, 1.0)
-            # exp(i(kx x + ky y)) is an outer product: no (NODES, NODES) array of angles is made.
+            # exp(i(kx x + ky y)) is an outer product, so no (NODES, NODES) array of angles is needed.
             wave = np.outer(np.exp(1j * ky * node), size * np.exp(1j * (kx * node + rng.uniform(0, 2 * np.pi))))
             grid += wave.real
     return grid
 
 
 def _add_ditch(grid: Floats) -> None:
-    """A ditch across the western loop of the path, 1.6 m wide and 0.35 m deep, with smooth banks."""
+    """Add a ditch across the western loop of the path, 1.6 m wide and 0.35 m deep, with smooth banks."""
     node = _nodes()
     x, y = node[None, :], node[:, None]
     across = np.abs(x + 7.0 + 0.25 * y)
@@ -112,7 +112,7 @@ def _add_ditch(grid: Floats) -> None:
 
 
 def _add_wall(grid: Floats) -> None:
-    """A wall 0.4 m thick and 1.5 m high, north of the path; its top follows the ground, its flanks take one node."""
+    """Add a wall north of the path, 0.4 m thick and 1.5 m above the ground; its sides are one node wide."""
     node = _nodes()
     rows = np.nonzero((node >= 8.6) & (node <= 9.0))[0]
     columns = np.nonzero((node >= -6.0) & (node <= 7.0))[0]
@@ -120,7 +120,7 @@ def _add_wall(grid: Floats) -> None:
 
 
 def _add_rocks(grid: Floats, rng: np.random.Generator) -> None:
-    """Rounded rocks of 0.15 to 0.7 m radius; those on the path are low enough to drive over."""
+    """Add rounded rocks of 0.15 to 0.7 m radius; those on the path are low enough to drive over."""
     px, py = path(np.linspace(0, 2 * np.pi, 400, endpoint=False))
     node = np.arange(NODES)
     for _ in range(420):
@@ -141,7 +141,7 @@ def _add_rocks(grid: Floats, rng: np.random.Generator) -> None:
 
 
 def _block_top(grid: Floats) -> Floats:
-    """The highest ground in each block, its upper and right border included: bilinear never rises above its nodes."""
+    """Return the highest node of each block and its upper and right border; between nodes the ground is not higher."""
     wrapped = np.pad(grid, ((0, 1), (0, 1)), mode="wrap")
     count = NODES // BLOCK
     top = np.full((count, count), -np.inf)

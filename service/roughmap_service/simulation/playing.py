@@ -1,26 +1,23 @@
-"""Recorded scans as messages: the clouds of an NPZ file and, as odometry, the poses recorded with them."""
+"""Recorded scans as messages: the scans of an NPZ file as clouds, and their poses as odometry."""
 
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
 from roughmap_schemas.cloud import encode_cloud
 from roughmap_schemas.odometry import encode_odometry
-from roughmap_service.formats.clouds_in import RecordedScan, read_scans
-from roughmap_service.simulation.rotations import of_matrix
+from roughmap_service.formats.npz import read_scans
+from roughmap_service.formats.recorded import RecordedScan
 from roughmap_service.simulation.rover import BODY_FRAME, MAP_FRAME, SENSOR_FRAME, Message
 
 
 def recorded_messages(file: Path, robot: str = "rover1", sensor_frame: str = SENSOR_FRAME) -> Iterator[Message]:
-    """Each scan's pose, then the scan, in order; `file` in the layout of scans that `clouds_in` describes.
+    """Return each scan's pose, then the scan, in order. `formats.npz` describes the file.
 
-    The recorded pose is the sensor's, so robot and sensor are one: the service needs the sensor at its default
-    place on the robot. A pose at exactly the scan's stamp needs no second one; the covariance is left out (unknown).
-    Raises CloudFileFault where the file holds no scans with poses.
+    The recorded pose is the sensor's, and is published as the robot's: the service must have the sensor at the robot's
+    origin. The pose has exactly the scan's stamp, so one is enough; it has no covariance. Raises CloudFileFault if the
+    file does not hold scans with poses.
     """
-    scans = read_scans(file)  # here, not at the first message: a fault of the file is to be heard before anything else
+    scans = read_scans(file)  # outside of the generator, so that a bad file raises here and not at the first message
 
     def messages() -> Iterator[Message]:
         for scan in scans:
@@ -32,11 +29,5 @@ def recorded_messages(file: Path, robot: str = "rover1", sensor_frame: str = SEN
 
 
 def _pose(scan: RecordedScan, robot: str) -> Message:
-    position, rotation = scan.pose[:3, 3], rotation_of(scan.pose)
-    payload = encode_odometry(scan.stamp_ns, MAP_FRAME, position, rotation, None, BODY_FRAME)
+    payload = encode_odometry(scan.stamp_ns, MAP_FRAME, scan.position, scan.rotation, None, BODY_FRAME)
     return Message(scan.stamp_ns, "odometry", payload, robot, scan.stamp_ns)
-
-
-def rotation_of(pose: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """The unit quaternion x, y, z, w of a (4, 4) pose, whose rotation may be rounded."""
-    return np.array(of_matrix(pose[:3, :3]))

@@ -1,4 +1,4 @@
-"""Puts a rover's messages on the network at the pace at which they came to be."""
+"""Publishes the messages of robots at the pace at which they were made."""
 
 import heapq
 import queue
@@ -17,7 +17,7 @@ from roughmap_schemas.keys import TEMPLATES
 from roughmap_service.simulation.rover import Kind, Message
 
 AHEAD = 64
-"""Messages made ahead of time: a second or so, so that making a sweep never delays a pose."""
+"""Messages made ahead: about a second, so that making a sweep never delays a pose."""
 
 NANOSECONDS = 1_000_000_000
 
@@ -26,7 +26,7 @@ ENCODINGS: dict[Kind, str] = {"points": POINT_CLOUD, "odometry": ODOMETRY}
 
 @dataclass
 class Published:
-    """What was put on the network so far; `late_s` is how far the pace was missed at worst."""
+    """What has been published so far; `late_s` is the longest delay behind the schedule."""
 
     clouds: int = 0
     poses: int = 0
@@ -36,15 +36,15 @@ class Published:
 
 
 class NobodyListens(ReportedError):
-    """No service subscribes to the robot's clouds within the time given."""
+    """No service subscribed to the robots' messages in time."""
 
 
 class RoverPublisher:
-    """Publishers for some robots on one session; a context manager.
+    """Publishers of several robots on one session; a context manager.
 
-    `patient` chooses what happens when the network can't keep up, for clouds and poses alike. A live robot drops
-    (congestion control DROP: the next scan is better than an old one, the service counts the gap from
-    `message_seq`). A recording waits (BLOCK): nothing is lost by waiting, unless a peer hangs for seconds.
+    `patient` says what happens when the network can't keep up. A live robot drops clouds and poses (congestion control
+    DROP), since the next scan is better than an old one; the service counts the gap from `message_seq`. A recording
+    waits (BLOCK): that loses nothing unless a peer hangs for seconds.
     """
 
     def __init__(self, session: zenoh.Session, robots: Iterable[str], *, patient: bool = False) -> None:
@@ -59,7 +59,7 @@ class RoverPublisher:
                     TEMPLATES[kind].format(robot=robot),
                     encoding=encoding,
                     congestion_control=control,
-                    # A pose is small, and a cloud waits for it: poses overtake.
+                    # Poses overtake clouds: they are small, and clouds wait for them.
                     priority=zenoh.Priority.DATA_HIGH if kind == "odometry" else zenoh.Priority.DATA,
                 )
 
@@ -73,7 +73,7 @@ class RoverPublisher:
             publisher.undeclare()
 
     def wait_for_listeners(self, seconds: float) -> None:
-        """Wait until somebody subscribes to every robot's clouds and poses; NobodyListens after `seconds`."""
+        """Wait until every robot's clouds and poses have a subscriber; NobodyListens after `seconds`."""
         deadline = time.monotonic() + seconds
         for publisher in self._publishers.values():
             heard = threading.Event()
@@ -90,7 +90,7 @@ class RoverPublisher:
                 listener.undeclare()
 
     def put(self, message: Message) -> None:
-        """Publish one message with its `message_seq` (8 bytes, little-endian, counted for each key)."""
+        """Publish one message with its `message_seq` (8 bytes little-endian, one count per key)."""
         number = self._sequence[message.robot, message.kind]
         self._publishers[message.robot, message.kind].put(message.payload, attachment=number.to_bytes(8, "little"))
         self._sequence[message.robot, message.kind] = number + 1
@@ -107,9 +107,9 @@ class RoverPublisher:
         stop: threading.Event | None = None,
         on_put: Callable[[Published], None] | None = None,
     ) -> Published:
-        """Publish all `messages`, each when it is due, `rate` times as fast as they came to be; `rate` 0: at once.
+        """Publish `messages`, each when it is due, at `rate` times real time; 0 is as fast as possible.
 
-        Ends early when `stop` is set. Messages are made in a thread of their own, ahead of time.
+        Returns early when `stop` is set. Messages are made ahead in another thread.
         """
         stop = threading.Event() if stop is None else stop
         begun: float | None = None
@@ -129,17 +129,17 @@ class RoverPublisher:
 
 
 def _is_heard(publisher: zenoh.Publisher) -> bool:
-    """Whether somebody subscribes; the type stubs say bool, the library gives an object that holds it."""
+    """Tell whether there is a subscriber. The type stubs say bool; the library returns an object with it."""
     return bool(getattr(publisher.matching_status, "matching", publisher.matching_status))
 
 
 def merged(streams: Iterable[Iterator[Message]]) -> Iterator[Message]:
-    """The messages of several robots in the order in which they are due."""
+    """Merge the messages of several robots, in the order of `due_ns`."""
     return heapq.merge(*streams, key=lambda message: message.due_ns)
 
 
 def _ahead(messages: Iterable[Message], stop: threading.Event) -> Iterator[Message]:
-    """`messages`, made in another thread up to `AHEAD` before they are wanted."""
+    """Yield `messages`, made in another thread, up to `AHEAD` of them in advance."""
     made: queue.Queue[Message | BaseException | None] = queue.Queue(AHEAD)
     done = threading.Event()
 
@@ -158,7 +158,7 @@ def _ahead(messages: Iterable[Message], stop: threading.Event) -> Iterator[Messa
                 if not offer(message):
                     return
             offer(None)
-        except BaseException as error:  # noqa: BLE001  # it is raised again where the messages are wanted
+        except BaseException as error:  # noqa: BLE001  # raised again by the consumer
             offer(error)
 
     maker = threading.Thread(target=make, name="rover", daemon=True)

@@ -1,11 +1,11 @@
-"""A rover over synthetic ground: what its scanner and its localisation would publish, with the truth known.
+"""A rover on synthetic ground: the messages of its scanner and its localisation, with the true poses known.
 
 The same seed, start and settings give the same messages. The rover drives a figure of eight, in 36 seconds at its
-default speed; its body lies on the ground under its wheels (roll, pitch and height follow the terrain), and its scanner
-turns while it moves, so every column of a sweep is seen from another pose. What localisation says wanders about the
-true pose by the covariance that it states.
+default speed. Roll, pitch and height follow the ground under its wheels. The scanner turns while the rover moves, so
+every column of a sweep is measured from another pose. The localisation's error wanders with the stated covariance.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap_schemas.cloud import encode_cloud
+from roughmap_schemas.geometry import Quaternion, quaternion_of
 from roughmap_schemas.odometry import encode_odometry
 from roughmap_service.run.pose_algebra import multiply
 from roughmap_service.simulation.ground import PATH_HALF_LENGTH, PATH_HALF_WIDTH, Ground, path
-from roughmap_service.simulation.rotations import of_matrix, of_vector
 from roughmap_service.simulation.scanner import NANOSECONDS, Scanner
 
 Floats = npt.NDArray[np.float64]
@@ -29,22 +29,22 @@ BODY_FRAME = "base"
 MAP_FRAME = "map"
 
 MOUNT = (0.25, 0.0, 1.05)
-"""The scanner in the robot's frame, metres; its axes are the robot's."""
+"""The scanner in the robot's frame, metres. Its axes are the robot's."""
 
 FOOTPRINT_X, FOOTPRINT_Y = np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.35, 0.35, 7))
-"""Where the body rests: a plane through the ground's height at these points, metres in the robot's axes."""
+"""The body is a plane fitted to the ground at these points; metres in the robot's axes."""
 
 ODOMETRY_HZ = 50
 
 WANDER_SECONDS = 2.0
-"""How long localisation keeps an error: the correlation time of its wandering."""
+"""Correlation time of the localisation's error."""
 
 POSE_SIGMA = (0.02, 0.02, 0.01, 0.002, 0.002, 0.002)
-"""Standard deviation of what localisation says: metres and radians, about the map's axes."""
+"""Standard deviation of the localisation's error: metres, and radians about the map's axes."""
 
 
 class Message(NamedTuple):
-    """One message to publish: `payload` of `kind` for `robot`, which exists from `due_ns` on (a sweep: at its end)."""
+    """One message to publish: `payload` of `kind` for `robot`, available from `due_ns` on (a sweep: from its end)."""
 
     stamp_ns: int
     kind: Kind
@@ -62,7 +62,7 @@ class Pose(NamedTuple):
 
 @dataclass
 class Rover:
-    """One robot. `phase` (0 to 1) is where on the figure of eight it starts; robots of one run share the ground."""
+    """One robot. It starts at `phase` (0 to 1) of the figure of eight; robots of one run share the ground."""
 
     ground: Ground
     name: str = "rover1"
@@ -73,9 +73,9 @@ class Rover:
     start_ns: int = 1_700_000_000 * NANOSECONDS
 
     def pose(self, stamp_ns: npt.ArrayLike) -> Pose:
-        """The true pose at any stamps (N,)."""
+        """Return the true poses at the stamps (N,)."""
         seconds = (np.asarray(stamp_ns, dtype=np.int64) - self.start_ns) / NANOSECONDS
-        # The mean speed over the figure of eight; it is slower in the bends.
+        # 1.38 makes `speed` the mean over the figure of eight; the rover is slower in the bends.
         angle = 2 * np.pi * self.phase + seconds * self.speed / np.hypot(PATH_HALF_LENGTH, 2 * PATH_HALF_WIDTH) * 1.38
         x, y = path(angle)
         heading = np.arctan2(2 * PATH_HALF_WIDTH * np.cos(2 * angle), PATH_HALF_LENGTH * np.cos(angle))
@@ -83,7 +83,7 @@ class Rover:
         height = self.ground.height(
             x[:, None, None] + c * FOOTPRINT_X - s * FOOTPRINT_Y, y[:, None, None] + s * FOOTPRINT_X + c * FOOTPRINT_Y
         )
-        # Least squares over a symmetric grid: the three unknowns part, each is a weighted mean.
+        # Least squares over a symmetric grid: the three unknowns are independent weighted means.
         along = (height * FOOTPRINT_X).sum((1, 2)) / (FOOTPRINT_X**2).sum()
         aside = (height * FOOTPRINT_Y).sum((1, 2)) / (FOOTPRINT_Y**2).sum()
         c, s = c[:, 0, 0], s[:, 0, 0]
@@ -93,7 +93,7 @@ class Rover:
         return Pose(np.stack([x, y, height.mean((1, 2))], -1), rotation)
 
     def messages(self, duration: float) -> Iterator[Message]:
-        """All messages of `duration` seconds, in the order in which they come to be (`due_ns`)."""
+        """Yield all messages of `duration` seconds, in the order of `due_ns`."""
         scan_rng = np.random.default_rng([self.seed, 0x5CA7])
         odometry = self._odometry(duration)
         pending = next(odometry, None)
@@ -109,32 +109,32 @@ class Rover:
 
     def _scan(self, stamp_ns: int, rng: np.random.Generator) -> Message:
         base = self.pose(stamp_ns + self.scanner.column_offsets_ns())
-        # einsum and the like are free here: nothing of a simulation's bits enters a promise of the map's.
+        # einsum is allowed here: no promise depends on the bits of a simulation.
         position = base.position + np.einsum("nij,j->ni", base.rotation, np.asarray(MOUNT))
         points, offsets = self.scanner.sweep(self.ground, position, base.rotation, rng)
         payload = encode_cloud(points, stamp_ns, SENSOR_FRAME, offsets_ns=offsets)
         return Message(stamp_ns, "points", payload, self.name, stamp_ns + self.scanner.sweep_ns)
 
     def _odometry(self, duration: float) -> Iterator[Message]:
-        """Poses at `ODOMETRY_HZ`, from the first sweep's start to one pose after the last sweep's end."""
+        """Yield poses at `ODOMETRY_HZ`, from the first sweep's start to one pose after the last sweep's end."""
         rng = np.random.default_rng([self.seed, 0x0D0])
         sigma = np.asarray(POSE_SIGMA)
         covariance = np.diag(sigma**2)
         keep = np.exp(-1 / (ODOMETRY_HZ * WANDER_SECONDS))
-        error = rng.normal(0, sigma)  # Gauss-Markov from its stationary spread on: sigma holds at every stamp
+        error = rng.normal(0, sigma)  # Gauss-Markov, begun in its stationary state: sigma is right at every stamp
         step = NANOSECONDS // ODOMETRY_HZ
         for k in range(int(duration * ODOMETRY_HZ) + 2):
             stamp = self.start_ns + k * step
             true = self.pose(np.array([stamp]))
-            # True pose = (Exp(dtheta) R, t + dt) about the map's axes: what is said is the true pose less the error.
-            said = multiply(of_vector(-error[3:]), of_matrix(true.rotation[0]))
-            payload = encode_odometry(stamp, MAP_FRAME, true.position[0] - error[:3], said, covariance, BODY_FRAME)
+            # True pose = (Exp(dtheta) R, t + dt) about the map's axes: the stated pose is the true one minus the error.
+            stated = multiply(exponential(-error[3:]), quaternion_of(true.rotation[0].tolist()))
+            payload = encode_odometry(stamp, MAP_FRAME, true.position[0] - error[:3], stated, covariance, BODY_FRAME)
             yield Message(stamp, "odometry", payload, self.name, stamp)
             error = keep * error + np.sqrt(1 - keep**2) * rng.normal(0, sigma)
 
 
 def rovers(count: int, seed: int, start_ns: int, scanner: Scanner | None = None) -> list[Rover]:
-    """`count` robots, rover1 and on, spread over the same path on the ground of `seed`."""
+    """Return `count` robots (rover1, rover2, ...), spread over the same path on the ground of `seed`."""
     ground = Ground(seed)
     return [
         Rover(
@@ -150,7 +150,7 @@ def rovers(count: int, seed: int, start_ns: int, scanner: Scanner | None = None)
 
 
 def sensor_settings(scanner: Scanner) -> dict[str, object]:
-    """The `[sensors.lidar]` table that a service needs for these rovers."""
+    """Return the `[sensors.lidar]` table that a service needs for these rovers."""
     return {
         "translation": list(MOUNT),
         "rotation": [0.0, 0.0, 0.0, 1.0],
@@ -159,6 +159,14 @@ def sensor_settings(scanner: Scanner) -> dict[str, object]:
         "min_range": 0.5,
         "max_range": scanner.max_range + 1.0,
     }
+
+
+def exponential(vector: Floats) -> Quaternion:
+    """Return Exp(vector) as a quaternion: the rotation about the vector by its length in radians."""
+    angle = float(np.linalg.norm(vector))
+    scale = math.sin(0.5 * angle) / angle if angle > 0 else 0.5
+    x, y, z = (scale * float(part) for part in vector)
+    return x, y, z, math.cos(0.5 * angle)
 
 
 def _unit(vectors: Floats) -> Floats:

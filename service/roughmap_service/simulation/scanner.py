@@ -1,4 +1,4 @@
-"""A spinning laser scanner over the synthetic ground: one sweep, column after column, from a moving sensor."""
+"""A spinning laser scanner on the synthetic ground: one sweep, column after column, from a moving sensor."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,17 +12,17 @@ from roughmap_service.simulation.ground import BLOCK, NODES, SPACING, Ground, he
 Floats = npt.NDArray[np.float64]
 
 FINE = SPACING / 2
-"""Metres over ground between two looks at it where a ray may meet it: half a grid cell."""
+"""Horizontal step of a ray near the ground, in metres: half a grid cell."""
 
 HALVINGS = 12
-"""From half a grid cell down to 6 micrometres over ground: far below the range noise."""
+"""Bisections of that step, to 6 micrometres: far below the range noise."""
 
 NANOSECONDS = 1_000_000_000
 
 
 @dataclass(frozen=True)
 class Scanner:
-    """A scanner's form and noise; angles in radians, lengths in metres, `rate_hz` sweeps a second."""
+    """A scanner's geometry and noise: angles in radians, lengths in metres, `rate_hz` sweeps per second."""
 
     rings: int = 64
     columns: int = 512
@@ -35,27 +35,27 @@ class Scanner:
 
     @property
     def sweep_ns(self) -> int:
-        """The time of one sweep."""
+        """Duration of one sweep."""
         return round(NANOSECONDS / self.rate_hz)
 
     def column_offsets_ns(self) -> npt.NDArray[np.int64]:
-        """(columns,) the time of each column after the sweep's start."""
+        """Return the time of each column after the sweep's start, (columns,)."""
         return np.arange(self.columns, dtype=np.int64) * self.sweep_ns // self.columns
 
     def sweep(
         self, ground: Ground, position: Floats, rotation: Floats, rng: np.random.Generator
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
-        """One sweep as the scanner reports it.
+        """Return one sweep as the scanner reports it.
 
         `position` (columns, 3) and `rotation` (columns, 3, 3) are the sensor's true pose in the map at each
-        column's own time. Returns points (rings * columns, 3) in the sensor frame, column after column, with
-        0, 0, 0 where nothing came back, and each point's offset from the sweep's start in nanoseconds. A beam leaves in
-        a slightly other direction than the scanner believes (`beam_sigma`), and its range has noise (`range_sigma`).
+        column's own time. Returns points (rings * columns, 3) in the sensor frame, column after column, with 0, 0, 0
+        for no return, and each point's offset from the sweep's start in nanoseconds. The true direction of a beam
+        differs from the reported one by `beam_sigma`; its range has the noise `range_sigma`.
         """
         shape = (self.columns, self.rings)
         azimuth = np.linspace(np.pi, -np.pi, self.columns, endpoint=False)[:, None]
         elevation = np.linspace(self.lowest, self.highest, self.rings)[None, :]
-        believed = _directions(azimuth, elevation, shape)
+        reported = _directions(azimuth, elevation, shape)
         true = _directions(
             azimuth + rng.normal(0, self.beam_sigma, shape) / np.cos(elevation),
             elevation + rng.normal(0, self.beam_sigma, shape),
@@ -64,7 +64,7 @@ class Scanner:
         ranges = np.empty(shape)
         _cast(ground.grid, ground.block_top, ground.top, position, rotation, true, self.max_range, ranges)
         measured = ranges + rng.normal(0, self.range_sigma, shape)
-        points = np.where(np.isnan(measured), 0.0, measured)[..., None] * believed
+        points = np.where(np.isnan(measured), 0.0, measured)[..., None] * reported
         offsets = np.broadcast_to(self.column_offsets_ns()[:, None], shape)
         return points.reshape(-1, 3).astype(np.float32), offsets.reshape(-1).copy()
 
@@ -81,7 +81,7 @@ def _directions(azimuth: Floats, elevation: Floats, shape: tuple[int, int]) -> F
 def _cast(
     grid: Any, block_top: Any, top: float, position: Any, rotation: Any, directions: Any, max_range: float, out: Any
 ) -> None:
-    """Range to the ground for every beam of every column; NaN past `max_range`."""
+    """Compute the range to the ground of every beam of every column; NaN beyond `max_range`."""
     for c in range(out.shape[0]):
         r = rotation[c]
         for k in range(out.shape[1]):
@@ -98,7 +98,7 @@ def _cast(
 def _range(
     grid: Any, block_top: Any, top: float, x: float, y: float, z: float, dx: float, dy: float, dz: float, limit: float
 ) -> float:
-    """Walk the blocks under one beam: skip those that it passes above, look closely in the others."""
+    """Return the range of one beam: skip the blocks that it passes above, step through the others."""
     side = BLOCK * SPACING
     mask = NODES // BLOCK - 1
     step = FINE / max(np.hypot(dx, dy), 0.05)
@@ -117,7 +117,7 @@ def _range(
             leave = min(leave, ((by + 1) * side - y) / dy)
         elif dy < 0:
             leave = min(leave, (by * side - y) / dy)
-        leave = max(leave, t) + 1e-9  # past the border, so that the next look is in the next block
+        leave = max(leave, t) + 1e-9  # past the border, into the next block
         if min(z + t * dz, z + leave * dz) <= block_top[np.int64(by) & mask, np.int64(bx) & mask]:
             while t < leave:
                 ahead = min(t + step, leave)
@@ -132,7 +132,7 @@ def _range(
 def _meet(
     grid: Any, x: float, y: float, z: float, dx: float, dy: float, dz: float, above: float, below: float
 ) -> float:
-    """Halve the stretch in which the beam went under the ground."""
+    """Return the range at which the beam meets the ground, between `above` and `below`, by bisection."""
     for _ in range(HALVINGS):
         middle = 0.5 * (above + below)
         if z + middle * dz <= height_at(grid, x + middle * dx, y + middle * dy):

@@ -1,4 +1,4 @@
-"""The map on disk, `map.db`: one cut of the run, committed in one transaction."""
+"""The store, `map.db`: the map at one cut of the run, committed in one transaction."""
 
 import json
 import sqlite3
@@ -21,7 +21,7 @@ from roughmap_service.host.disk import make_directory, sync_directory
 TILE_BYTES = 64 * 64 * CELL_DTYPE.itemsize
 
 COMPRESSION_LEVEL = 1
-"""Snapshots are taken while the robot drives: fast counts for more than small."""
+"""Fast rather than small: snapshots are taken while the robot drives."""
 
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS cut (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -31,13 +31,14 @@ CREATE TABLE IF NOT EXISTS tiles (
 );
 """
 
+REMEDY = "move the file away to rebuild the map from the log"
 
 READ_INDEX = "SELECT tx, ty, oldest_ns, newest_ns, checksum, digest"
-"""What is stored of a tile beside its records."""
+"""Selects everything stored of a tile except its records."""
 
 
 class StoreError(ReportedError):
-    """A map.db that can't be used; one line that names the file, what is wrong and what to do."""
+    """A map.db that can't be used; one line with the file, the cause and the remedy."""
 
     exit_code = 2
 
@@ -47,16 +48,16 @@ class DamagedStore(StoreError):
 
 
 class OtherStateVersion(StoreError):
-    """A store whose cells mean something else: it is never converted, but built anew from the log."""
+    """A store whose cells have another meaning. It is not converted but rebuilt from the log."""
 
 
 @dataclass(frozen=True)
 class Cut:
-    """Where in the run the stored map stands, and what beside the map the run needs to go on from there.
+    """The place in the run where the stored map stands, and what the run needs beside the map to go on from there.
 
-    ``input`` and ``record`` are the last ones before the cut; ``low_water`` is the oldest undecided cloud's input, else
-    the next input. ``poses`` are the robots' pose buffers, ``duplicates`` the remembered messages, as JSON values;
-    ``digest`` is the map's.
+    ``input`` and ``record`` are the last ones before the cut. ``low_water`` is the input of the oldest undecided cloud,
+    or the next input if there is none. ``poses`` (the robots' pose buffers) and ``duplicates`` (the remembered
+    messages) are JSON values. ``digest`` is the map's.
     """
 
     run: str
@@ -86,49 +87,51 @@ class StoredTile:
 
 
 class Store:
-    """A `map.db` for reading and for writing whole cuts."""
+    """A `map.db`, read and written as a whole."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def exists(self) -> bool:
-        """Whether there is such a file."""
+        """Return whether the file exists."""
         return self.path.exists()
 
     def read_cut(self) -> Cut | None:
-        """The cut, or None if nothing was stored yet. StoreError if the file is no store, or one of another version."""
+        """Return the cut, None if nothing was stored yet; StoreError for another file or another version."""
         if not self.path.exists():
             return None
-        with self.reading() as db:
+        with self.connection() as db:
             if not db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-                return None  # a kill came between the making of the file and of its tables
+                return None  # a kill came after the file was created and before its tables were
             rows = db.execute("SELECT name, value FROM cut").fetchall()
         if not rows:
             return None
         if not all(isinstance(text, str) for row in rows for text in row):
-            raise DamagedStore(f"{self.path}: damaged (its cut); move it away to build it anew from the log")
+            raise DamagedStore(f"{self.path}: damaged (its cut); {REMEDY}")
         texts: dict[str, str] = dict(rows)
         version, checksum = texts.get("state_version"), texts.pop("checksum", "")
         if version != str(STATE_VERSION):
-            raise OtherStateVersion(f"{self.path}: a store of state version {version}, not {STATE_VERSION}")
+            raise OtherStateVersion(f"{self.path}: the store has state version {version}, not {STATE_VERSION}")
         if checksum != _checksum(texts):
-            raise DamagedStore(f"{self.path}: damaged (its cut); move it away to build it anew from the log")
+            raise DamagedStore(f"{self.path}: damaged (its cut); {REMEDY}")
         try:
             return Cut(**{name: json.loads(value) for name, value in texts.items()})
         except (TypeError, ValueError, RecursionError) as error:
-            raise StoreError(f"{self.path}: a store of another version ({error}); start with --fresh") from None
+            raise StoreError(f"{self.path}: the store is of another version ({error}); start with --fresh") from None
 
     def read_tiles(self) -> Iterator[StoredTile]:
-        """All tiles, each checked against its digest. StoreError names the first that is damaged."""
-        with self.reading() as db:
+        """Yield all tiles, each checked against its digest; StoreError names the first damaged one."""
+        with self.connection() as db:
             for *numbers, checksum, digest, blob in db.execute(f"{READ_INDEX}, records FROM tiles ORDER BY tx, ty"):
-                tx, ty, oldest, newest = self.checked([numbers], [checksum])[0].tolist()
-                records = self.unpacked(tx, ty, digest, blob)
+                tx, ty, oldest, newest = self.verify_index([numbers], [checksum])[0].tolist()
+                records = self.unpack(tx, ty, digest, blob)
                 yield StoredTile(tx, ty, oldest, newest, digest, records)
 
-    def checked(self, numbers: Sequence[Sequence[object]], checksums: Sequence[object]) -> I8:
-        """(T, 4) of the tiles' tx, ty, oldest and newest stamp as stored. StoreError if they are not what was written:
-        no digest covers the stamps."""
+    def verify_index(self, numbers: Sequence[Sequence[object]], checksums: Sequence[object]) -> I8:
+        """Return the tiles' stored tx, ty, oldest and newest stamp as (T, 4), verified against their checksums.
+
+        StoreError if they are damaged. The tiles' digests do not cover the stamps.
+        """
         try:
             table = np.array(numbers, np.int64)
         except (ValueError, TypeError, OverflowError) as error:
@@ -138,22 +141,22 @@ class Store:
                 raise self.damaged(f"the stamps of tile ({row[0]}, {row[1]})")
         return table
 
-    def damaged(self, why: str) -> DamagedStore:
-        """The error of a store whose content can't be."""
-        return DamagedStore(f"{self.path}: damaged ({why}); move the file away to rebuild it")
+    def damaged(self, cause: str) -> DamagedStore:
+        """Return the error for a store with impossible content."""
+        return DamagedStore(f"{self.path}: damaged ({cause}); {REMEDY}")
 
-    def unpacked(self, tx: int, ty: int, digest: object, blob: object) -> Records:
-        """A tile's (4096,) records from what is stored of it. StoreError that names it if the digest is another."""
+    def unpack(self, tx: int, ty: int, digest: object, blob: object) -> Records:
+        """Return a tile's (4096,) records; StoreError names the tile if they do not match its digest."""
         raw = b""
         with suppress(zstandard.ZstdError, TypeError):
             if zstandard.frame_content_size(blob) == TILE_BYTES:  # type: ignore[arg-type] # before it is allocated
                 raw = zstandard.ZstdDecompressor().decompress(blob)  # type: ignore[arg-type]
         if len(raw) != TILE_BYTES or xxhash.xxh3_128_digest(raw) != digest:
-            raise DamagedStore(f"{self.path}: tile ({tx}, {ty}) is damaged; move the file away to rebuild it")
+            raise DamagedStore(f"{self.path}: tile ({tx}, {ty}) is damaged; {REMEDY}")
         return np.frombuffer(raw, CELL_DTYPE)
 
     def load_into(self, rough_map: RoughMap, cut: Cut) -> None:
-        """Fill an empty map with the stored tiles, at the cut's sequence."""
+        """Fill an empty map with the stored tiles, and set the cut's sequence."""
         rough_map.set_sequence(cut.sequence)
         for tile in self.read_tiles():
             try:
@@ -161,11 +164,13 @@ class Store:
             except ValueError as error:
                 raise self.damaged(str(error)) from None
 
-    def write(self, cut: Cut, frozen: FrozenMap, after: int | None, went_on: Callable[[], None] = lambda: None) -> None:
-        """Commit a cut: the tiles of ``frozen`` that changed after sequence ``after`` (None: all, and no others).
-        ``went_on`` is called at each tile.
+    def write(
+        self, cut: Cut, frozen: FrozenMap, after: int | None, progress: Callable[[], None] = lambda: None
+    ) -> None:
+        """Commit a cut with the tiles of ``frozen`` that changed after the sequence ``after``.
 
-        One transaction; what was there stays if anything fails. sqlite3.Error or OSError from the disk.
+        ``after`` None replaces all stored tiles by those of ``frozen``. ``progress`` is called at each tile. This is
+        one transaction: if anything fails, the store stays as it was. sqlite3.Error or OSError from the disk.
         """
         pack = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL, write_checksum=True)
         make_directory(self.path.parent)
@@ -177,30 +182,30 @@ class Store:
             try:
                 if after is None:
                     db.execute("DELETE FROM tiles")
-                tiles = _rows(frozen, after, pack, went_on)
+                tiles = _rows(frozen, after, pack, progress)
                 db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?, ?, ?, ?, ?)", tiles)
                 db.execute("DELETE FROM cut")
                 texts = {name: json.dumps(value, allow_nan=False) for name, value in asdict(cut).items()}
                 db.executemany("INSERT INTO cut VALUES (?, ?)", [*texts.items(), ("checksum", _checksum(texts))])
                 db.execute("COMMIT")
             except BaseException:
-                if db.in_transaction:  # some errors end it themselves
+                if db.in_transaction:  # some errors already ended it
                     db.execute("ROLLBACK")
                 raise
 
     def write_map(
         self, rough_map: RoughMap, configuration: dict[str, Any], configuration_digest: str, run: str
     ) -> None:
-        """Store a map that no service keeps, as `build` and `replay` make them: a run's beginning, without a log."""
+        """Store a map that was made by `build` or `replay`, as the beginning of a run without a log."""
         digest = rough_map.digest()
         cut = Cut(run, 0, rough_map.sequence, 0, 0, 1, configuration, configuration_digest, digest=digest)
         with rough_map.freeze() as frozen:
             self.write(cut, frozen, None)
 
     def set_aside(self, run: str | None = None) -> Path:
-        """Rename the store to map.db.RUN, so that a new run may begin; returns the new name.
+        """Set the store aside as map.db.RUN, so that a new run can begin; return the new path.
 
-        ``run`` None: the one that it is of, "empty" or "unknown". StoreError, and nothing renamed, for what is none.
+        ``run`` None means the store's own run, or "empty" or "unknown". StoreError, and no change, for another file.
         """
         if run is None:
             run = self._run()
@@ -212,7 +217,7 @@ class Store:
         return aside
 
     def set_aside_damaged(self) -> Path:
-        """Rename a store that can't be used as one, with what SQLite keeps beside it; returns the new name."""
+        """Set a damaged store aside, together with SQLite's files beside it; return the new path."""
         aside = self.path.with_name(f"{self.path.name}.damaged")
         for ending in ("-wal", "-shm", ""):
             path = self.path.with_name(self.path.name + ending)
@@ -222,8 +227,8 @@ class Store:
         return aside
 
     def _run(self) -> str:
-        """The run that the store is of, whatever its version."""
-        with self.reading() as db:
+        """Return the run of the store, whatever its version."""
+        with self.connection() as db:
             if not db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
                 return "empty"
             row = db.execute("SELECT value FROM cut WHERE name = 'run'").fetchone()
@@ -231,50 +236,50 @@ class Store:
         return run if run.isalnum() else "unknown" if run else "empty"
 
     @contextmanager
-    def reading(self) -> Iterator[sqlite3.Connection]:
-        """A connection that only reads; what goes wrong is a StoreError."""
+    def connection(self) -> Iterator[sqlite3.Connection]:
+        """Give a connection for reading; SQLite's errors become StoreError."""
         try:
-            with closing(self.open_reading()) as db:
+            with closing(self.open_connection()) as db:
                 yield db
         except READ_ERRORS as error:
             raise read_error(self.path, error) from None
 
-    def open_reading(self, *, check_same_thread: bool = True) -> sqlite3.Connection:
-        """The connection itself, to be closed by the caller. sqlite3.Error."""
+    def open_connection(self, *, check_same_thread: bool = True) -> sqlite3.Connection:
+        """Return a connection for reading, to be closed by the caller; sqlite3.Error."""
         uri = f"{self.path.absolute().as_uri()}?mode=rw"
         return sqlite3.connect(uri, uri=True, timeout=5.0, check_same_thread=check_same_thread)
 
 
 READ_ERRORS = (sqlite3.Error, UnicodeDecodeError, MemoryError)
-"""What SQLite raises over a store: the second where its message quotes damaged bytes, the third also for a length that
-is damaged."""
+"""What SQLite raises when reading: the second if its message quotes damaged bytes, the third also over a damaged
+length."""
 
 
 def read_error(path: Path, error: Exception) -> StoreError:
-    """What an error of `READ_ERRORS` is: that the store is damaged, or that it can't be read, or is none."""
-    # "malformed" has no class of its own; what is no database at all is not ours to put away.
+    """Return the StoreError for one of `READ_ERRORS`; DamagedStore if SQLite calls the database malformed."""
+    # "malformed" has no exception class of its own. A file that is not a database must not be set aside.
     kind = DamagedStore if type(error) is sqlite3.DatabaseError and "malformed" in str(error) else StoreError
-    mend = "where the whole log is there, move it away, and the map is built from that"
-    return kind(f"{path}: {str(error) or 'no memory to read it'}; it is no map.db, or damaged: {mend}")
+    cause = str(error) or "no memory to read it"
+    return kind(f"{path}: {cause}; not a map.db, or damaged: if the whole log is there, {REMEDY}")
 
 
 def tile_checksum(numbers: I8) -> bytes:
-    """Over a tile's tx, ty, oldest_ns and newest_ns, (4,)."""
+    """Return the checksum of a tile's tx, ty, oldest_ns and newest_ns, (4,)."""
     return xxhash.xxh3_64_digest(numbers.tobytes())
 
 
 def _checksum(texts: Mapping[str, str]) -> str:
-    """Over the rows of a cut."""
+    """Return the checksum of a cut's rows."""
     return xxhash.xxh3_128_hexdigest(json.dumps(sorted(texts.items())).encode())
 
 
 def _rows(
-    frozen: FrozenMap, after: int | None, pack: zstandard.ZstdCompressor, went_on: Callable[[], None]
+    frozen: FrozenMap, after: int | None, pack: zstandard.ZstdCompressor, progress: Callable[[], None]
 ) -> Iterable[tuple[Any, ...]]:
     for (tx, ty), sequence in zip(frozen.tiles.tolist(), frozen.sequences.tolist(), strict=True):
         if after is not None and sequence <= after:
             continue
-        went_on()
+        progress()
         raw = frozen.records(tx, ty).tobytes()
         numbers = (tx, ty, *frozen.stamps(tx, ty))
         checksum = tile_checksum(np.array(numbers, np.int64))

@@ -1,4 +1,4 @@
-"""The process's memory, held to `map.memory_limit`: beyond it tiles leave for the spill file."""
+"""Keeping the process's memory within `map.memory_limit` by moving tiles to the spill file."""
 
 import contextlib
 import ctypes
@@ -14,40 +14,40 @@ from roughmap.tiles.slots import SLOT_BYTES
 from roughmap_service.host.log_lines import note
 from roughmap_service.store.spill import Spill
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8
-"""Of glibc's malloc.h."""
+"""Parameters of mallopt, from glibc's malloc.h."""
 
 STATM = Path("/proc/self/statm")
 
-BATCH = 64
-"""Tiles that leave at a time, 16 MiB: between batches the memory is measured again, and readers have the lock."""
+BATCH_TILES = 64
+"""Tiles that leave at a time, 16 MiB. Between batches the memory is measured again, and readers get the lock."""
 
 HIGH, LOW = 15 / 16, 7 / 8
-"""Parts of the limit: where tiles begin to leave, and how far. The distance keeps it from being at it all the time."""
+"""Shares of the limit: above HIGH, tiles leave until memory is below LOW. Without the gap some would always leave."""
 
 RETRY_SECONDS = 1.0
-"""How long a disk that would not take tiles is left alone."""
+"""Pause after the disk refused tiles."""
 
 TRIM_SECONDS = 5.0
-"""How often the allocator is asked to give back what it keeps: it looks through all of it, some milliseconds."""
+"""The least time between two trims of the allocator, each of which takes some milliseconds."""
 
-KEPT_SHARE, MOST_KEPT = 1 / 32, 64 << 20
-"""What the allocator may keep of freed memory in each heap: this part of the limit, at most so many bytes."""
+KEPT_SHARE, MAX_KEPT_BYTES = 1 / 32, 64 << 20
+"""Freed memory that the allocator may keep in each heap: this share of the limit, at most this many bytes."""
 
 HEAPS = 2
-"""So many heaps for all threads. With one for each of some twenty, what they kept grew to 60 MiB of a limit of 256
-within minutes of an overload; with two nothing did, and nothing became slower."""
+"""Heaps for all threads. With one heap for each of some twenty threads, the memory they kept grew to 60 MiB of a limit
+of 256 MiB within minutes of an overload. With two it did not grow, and nothing became slower."""
 
-Reading = Callable[[], AbstractContextManager[RoughMap]]
-"""Holds the map for a short look."""
+HoldMap = Callable[[], AbstractContextManager[RoughMap]]
+"""Locks the map for a short time."""
 
 
 def memory_bytes() -> int:
-    """The process's resident memory; 0 where the system doesn't tell."""
+    """Return the process's resident memory in bytes; 0 if the system does not say."""
     try:
-        handle = os.open(STATM, os.O_RDONLY)  # plainly: it is asked at every scan, and a Path takes three times as long
+        handle = os.open(STATM, os.O_RDONLY)  # at every scan; reading through a Path takes three times as long
         try:
             pages = os.read(handle, 256).split()[1]
         finally:
@@ -58,9 +58,12 @@ def memory_bytes() -> int:
 
 
 def keep_freed(limit: int) -> None:
-    """Have the C library keep what large answers and messages took for the next ones: by default it gives that back at
-    once, and to get 13 MB anew costs 5 ms of page faults, ten times what it takes to fill them."""
-    kept = min(int(limit * KEPT_SHARE), MOST_KEPT)
+    """Let the C library keep the memory of large replies and messages for the next ones.
+
+    By default it returns such memory to the system at once. Getting 13 MB back takes 5 ms of page faults, ten times as
+    long as filling them. ``limit`` is `map.memory_limit` in bytes.
+    """
+    kept = min(int(limit * KEPT_SHARE), MAX_KEPT_BYTES)
     with contextlib.suppress(AttributeError, OSError):
         library = ctypes.CDLL(None)
         library.mallopt(M_MMAP_THRESHOLD, kept // 2)
@@ -69,18 +72,22 @@ def keep_freed(limit: int) -> None:
 
 
 def trim_allocator() -> None:
-    """Have free memory given back to the system: the C library keeps some for each thread, and with Zenoh's threads
-    and ours it came to tens of MiB, for which tiles had to leave. Another C library may not know the call."""
+    """Return free memory to the system, if the C library has that call.
+
+    glibc keeps some for each thread. With Zenoh's threads and ours that was tens of MiB, for which tiles had to leave.
+    """
     with contextlib.suppress(AttributeError, OSError):
         ctypes.CDLL(None).malloc_trim(0)
 
 
 class MemoryLimit:
-    """Watches resident memory, less what it was when this was made: before the first tile, when all else was ready.
+    """Measures resident memory against ``limit`` bytes, and moves tiles to the spill file when it is near.
+
+    What the process has when this is created does not count: that is before the first tile, when all else is ready.
 
     Attributes:
-        ok: whether tiles could leave when they had to.
-        full: whether the limit is passed and tiles can't leave: then the map must not get new ones.
+        ok: whether tiles could leave memory the last time they had to.
+        full: whether the limit is exceeded and tiles can't leave. The map must not get new tiles then.
     """
 
     def __init__(self, limit: int, spill: Spill, *, measure: Callable[[], int] = memory_bytes) -> None:
@@ -98,10 +105,10 @@ class MemoryLimit:
         """Bytes that count against the limit."""
         return self._measure() - self._before
 
-    def relieve(self, reading: Reading) -> None:
-        """If there is need, take tiles out of memory. Call it where nobody else changes the map meanwhile."""
+    def relieve(self, hold_map: HoldMap) -> None:
+        """Move tiles out of memory if it is near the limit. Nothing else may change the map meanwhile."""
         if self.taken <= self.limit * HIGH:
-            self._say(True, "")
+            self._report(True, "")
             self.full = False
             return
         if time.monotonic() >= self._trimmed + TRIM_SECONDS:
@@ -111,38 +118,38 @@ class MemoryLimit:
             self.full = self.taken > self.limit
             return
         while (excess := self.taken - int(self.limit * LOW)) > 0:
-            number, why = self._evict(reading, min(BATCH, -(-excess // SLOT_BYTES)))
-            if why:
-                self._say(False, why)
+            number, cause = self._evict(hold_map, min(BATCH_TILES, -(-excess // SLOT_BYTES)))
+            if cause:
+                self._report(False, cause)
                 self._retry = time.monotonic() + RETRY_SECONDS
                 self.full = self.taken > self.limit
                 return
             if not number:
-                break  # what is left is in use, or is no tile
-        self._say(True, "")
+                break  # the rest is in use, or not tiles
+        self._report(True, "")
         self.full = False
 
-    def _evict(self, reading: Reading, number: int) -> tuple[int, str]:
-        """How many tiles left, and what was in the way of more; "" if nothing was."""
+    def _evict(self, hold_map: HoldMap, number: int) -> tuple[int, str]:
+        """Move up to ``number`` tiles; return how many left, and what kept others from leaving ("" if nothing did)."""
         try:
-            with reading() as rough_map:
+            with hold_map() as rough_map:
                 eviction = rough_map.spill(number)
-        except MemoryError:  # for the shelf's tables, which grow with what lies there
-            return 0, f"{self.spill.path}: no memory to keep account of it"
-        why = f"{self.spill.path}: map.spill_limit is reached" if eviction.short else ""
+        except MemoryError:  # for the shelf's tables, which grow with the number of tiles
+            return 0, f"{self.spill.path}: no memory for its tables"
+        cause = f"{self.spill.path}: map.spill_limit is reached" if eviction.short else ""
         try:
             eviction.write()
         except (OSError, MemoryError) as error:
-            why = f"{self.spill.path}: {error.strerror if isinstance(error, OSError) else 'no memory to write'}"
+            cause = f"{self.spill.path}: {error.strerror if isinstance(error, OSError) else 'no memory to write'}"
         finally:
-            with reading():
+            with hold_map():
                 eviction.close()
-        return eviction.number, why
+        return eviction.number, cause
 
-    def _say(self, ok: bool, why: str) -> None:
+    def _report(self, ok: bool, cause: str) -> None:
         if ok and not self.ok:
-            note(log, logging.INFO, "memory_relieved", "tiles leave memory again", always=True)
+            note(logger, logging.INFO, "memory_relieved", "tiles leave memory again", always=True)
         elif not ok and self.ok:
-            text = f"tiles can't leave memory: {why}; beyond map.memory_limit no new ones are taken"
-            note(log, logging.WARNING, "memory_full", text, always=True, cause=why)
+            text = f"tiles can't leave memory ({cause}); beyond map.memory_limit the map takes no new tiles"
+            note(logger, logging.WARNING, "memory_full", text, always=True, cause=cause)
         self.ok = ok

@@ -1,4 +1,4 @@
-"""Snapshots: cuts of the run go to the store from a thread of their own, never ahead of the log."""
+"""Snapshots: cuts of the run are written to the store in a thread of their own, never ahead of the log."""
 
 import logging
 import threading
@@ -16,20 +16,20 @@ from roughmap_service.run.view import View
 from roughmap_service.store.map_db import Cut, Store, StoreError
 from roughmap_service.store.spill import Spill, SpillError
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 SYNC_SECONDS = 10.0
-"""How long a snapshot waits for the log to be on the disk through its cut; then the next one tries again."""
+"""The longest wait of a snapshot for the log to be on the disk up to its cut, and for readers. Then it is skipped."""
 
 HANG_SECONDS = 60.0
-"""A store that has taken no tile for so long hangs, or its disk does; a commit of gigabytes takes some of that."""
+"""A store that took no tile for this long hangs. A commit of gigabytes takes part of this time."""
 
-READ_SECONDS = 0.05
-"""How often a snapshot looks whether readings that it must wait for are over."""
+READERS_SECONDS = 0.05
+"""Pause between checks whether the readers that a snapshot waits for are done."""
 
 
 def cut_of(run_id: str, config: Config, run: Run) -> Cut:
-    """Where the run stands; call it where nothing changes the run meanwhile."""
+    """Return the run's present cut. Nothing may change the run meanwhile."""
     oldest = min(run.clouds, default=None)
     return Cut(
         run=run_id,
@@ -47,7 +47,7 @@ def cut_of(run_id: str, config: Config, run: Run) -> Cut:
 
 
 def take_cut(cut: Cut, run: Run) -> None:
-    """Bring a new run to where a cut stands; the inverse of `cut_of`, but for the map's tiles."""
+    """Bring a new run to a cut, except for the tiles of its map; the inverse of `cut_of`."""
     run.epoch, run.input, run.record = cut.epoch, cut.input, cut.record
     run.newest_stamp_ns = run.map.newest_updated * NS
     for robot, buffer in cut.poses.items():
@@ -56,9 +56,10 @@ def take_cut(cut: Cut, run: Run) -> None:
 
 
 class Snapshots:
-    """Writes one cut at a time; one that is offered while another is being written is left out.
+    """Writes one cut at a time to ``store``; a cut offered meanwhile is skipped.
 
-    After each, the log's oldest files that no longer have to be there are deleted, if it is bounded to ``keep`` bytes.
+    ``stored`` is the cut that is in the store at the start. After each snapshot, with ``keep``, the oldest log files
+    that are no longer needed are deleted until the log has at most ``keep`` bytes.
     """
 
     def __init__(
@@ -80,11 +81,11 @@ class Snapshots:
         self._busy = threading.Lock()
         self._thread: threading.Thread | None = None
         self.sequence = stored.sequence if stored is not None else 0
-        self._asked: float | None = None  # since when the store is busy with what it was last given
+        self._progress: float | None = None  # when the write that is under way last went on
         self.ok = True
-        """Whether the store took what it was last given."""
+        """Whether the last write to the store succeeded."""
         self.error = ""
-        """Why there was no snapshot the last time: the store's fault, or that others were not ready for it."""
+        """Why the last snapshot failed or was skipped."""
 
     @property
     def enabled(self) -> bool:
@@ -92,26 +93,25 @@ class Snapshots:
         return self._store is not None
 
     def offer(self, make: Callable[[], Cut]) -> threading.Thread | None:
-        """Begin to store the cut that ``make`` gives, the map's present state; call it where nobody changes the map
-        meanwhile.
+        """Begin to store the cut that ``make`` returns. Nothing may change the map meanwhile.
 
-        Returns the thread that writes it, None if there is no store or it is still being written: then no cut is made,
-        which costs the sequencer some time (all poses and remembered messages) and memory.
+        Return the thread that writes it, None if there is no store or the last snapshot is still being written. In that
+        case ``make`` is not called: a cut holds all poses and remembered messages, which takes time and memory.
         """
         if self._store is None or not self._busy.acquire(blocking=False):
             return None
         frozen = None
         try:
             cut = make()
-            # Tiles stored under another epoch of this process may have been emptied by a reset since.
+            # A reset may have emptied tiles that were stored under an earlier epoch.
             after = self.sequence if self._epoch_of_tiles == cut.epoch else None
             with self._view.reading() as rough_map:
                 frozen = rough_map.freeze(after=-1 if after is None else after)
-                outlived = self._outlived()
-            args = cut, frozen, after, outlived
+                outdated = self._outdated()
+            args = cut, frozen, after, outdated
             thread = threading.Thread(target=self._write, args=args, name="snapshot", daemon=True)
             thread.start()
-        except (MemoryError, RuntimeError) as error:  # RuntimeError: the system gives no more threads
+        except (MemoryError, RuntimeError) as error:  # RuntimeError: no more threads
             self._fail(error)
             self._end(frozen)
             return None
@@ -122,72 +122,71 @@ class Snapshots:
         return thread
 
     def look(self) -> None:
-        """Look whether the store's disk still answers; call it now and then, since the thread that writes is what
-        hangs."""
-        asked = self._asked
-        if self.ok and asked is not None and time.monotonic() > asked + HANG_SECONDS:
+        """Check whether the store's disk still answers. Call this regularly; the writing thread can't: it hangs."""
+        progress = self._progress
+        if self.ok and progress is not None and time.monotonic() > progress + HANG_SECONDS:
             self._fail(TimeoutError(f"its disk has not answered for {HANG_SECONDS:g} s"))
 
     def wait(self, timeout: float) -> None:
-        """Wait for the snapshot that is being written."""
+        """Wait at most ``timeout`` s for a snapshot that is being written."""
         if self._thread is not None:
             self._thread.join(timeout)
 
-    def _outlived(self) -> set[int]:
-        """Tiles that this cut will overwrite in the store, and that readings begun before still read there."""
-        return set() if self._spill is None else set(self._spill.outlived().tolist())
+    def _outdated(self) -> set[int]:
+        """Return the places of tiles that the next write replaces and that frozen maps may still read in the store."""
+        return set() if self._spill is None else set(self._spill.outdated().tolist())
 
-    def _wait_read(self, outlived: set[int]) -> bool:
-        """Wait for those readings; False if it takes too long."""
+    def _wait_readers(self, outdated: set[int]) -> bool:
+        """Wait until no frozen map needs those tiles; return False if that takes too long."""
         until = time.monotonic() + SYNC_SECONDS
-        while outlived:
+        while outdated:
             with self._view.reading():
-                outlived &= self._outlived()
+                outdated &= self._outdated()
             if time.monotonic() > until:
                 return False
-            time.sleep(READ_SECONDS)
+            time.sleep(READERS_SECONDS)
         return True
 
-    def _write(self, cut: Cut, frozen: FrozenMap, after: int | None, outlived: set[int]) -> None:
-        assert self._store is not None  # noqa: S101 - offer() saw to it
+    def _write(self, cut: Cut, frozen: FrozenMap, after: int | None, outdated: set[int]) -> None:
+        assert self._store is not None  # noqa: S101 - `offer` checked it
         try:
             if not self._writer.wait_synced(SYNC_SECONDS):
-                self.error = "the log could not be made durable through the snapshot"
+                self.error = f"the log was not on the disk up to the cut within {SYNC_SECONDS:g} s; it is tried again"
                 return
-            if not self._wait_read(outlived):
-                self.error = "a reader holds tiles as they were stored before"
+            if not self._wait_readers(outdated):
+                self.error = f"a reader still needs the stored tiles after {SYNC_SECONDS:g} s; it is tried again"
                 return
-            self._went_on()
-            self._store.write(cut, frozen, after, self._went_on)
-            self._asked = None
+            self._note_progress()
+            self._store.write(cut, frozen, after, self._note_progress)
+            self._progress = None
             self._epoch_of_tiles, self.sequence, self.error = cut.epoch, cut.sequence, ""
             if not self.ok:
                 self.ok = True
                 text = f"the map can be stored again: {self._store.path}"
-                note(log, logging.WARNING, "snapshot_recovered", text, always=True)
-            text = f"the map is stored through sequence {cut.sequence}"
-            note(log, logging.INFO, "snapshot", text, sequence=cut.sequence, epoch=cut.epoch)
+                note(logger, logging.WARNING, "snapshot_recovered", text, always=True)
+            text = f"the map is stored up to sequence {cut.sequence}"
+            note(logger, logging.INFO, "snapshot", text, sequence=cut.sequence, epoch=cut.epoch)
             self._delete_log(cut)
-        except Exception as error:  # noqa: BLE001 - whatever it was, the store is as it was before, and that must show
+        except Exception as error:  # noqa: BLE001 - whatever the cause, the store is unchanged, and that must show
             self._fail(error)
         finally:
             self._end(frozen)
 
-    def _went_on(self) -> None:
-        self._asked = time.monotonic()
+    def _note_progress(self) -> None:
+        self._progress = time.monotonic()
 
     def _fail(self, error: Exception) -> None:
-        """The store did not take a snapshot: told once, until it takes one."""
-        assert self._store is not None  # noqa: S101 - offer() saw to it
-        why = str(error) or "no memory to write it"
-        self.error = why if isinstance(error, SpillError | StoreError) else f"{self._store.path}: {why}"
+        """Note that a snapshot failed. It is logged once, until one succeeds."""
+        assert self._store is not None  # noqa: S101 - `offer` checked it
+        cause = str(error) or "no memory to write it"
+        self.error = cause if isinstance(error, SpillError | StoreError) else f"{self._store.path}: {cause}"
         if self.ok:
             self.ok = False
-            text = f"the map can't be stored ({self.error}); the log holds all, and it is tried again"
-            note(log, logging.ERROR, "snapshot_failed", text, always=True, cause=self.error)
+            text = f"the map can't be stored ({self.error}); the log has everything, and it is tried again"
+            note(logger, logging.ERROR, "snapshot_failed", text, always=True, cause=self.error)
 
     def _end(self, frozen: FrozenMap | None) -> None:
-        self._asked = None
+        self._progress = None
         if frozen is not None:
             with self._view.reading():
                 frozen.close()
@@ -199,4 +198,4 @@ class Snapshots:
         try:
             delete_oldest(self._writer.path, Needed(cut.run, cut.record, cut.low_water), self._keep)
         except OSError as error:
-            log.error("the log's oldest files could not be deleted: %s", error)
+            logger.error("the log's oldest files could not be deleted: %s", error)

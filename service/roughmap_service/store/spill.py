@@ -1,4 +1,4 @@
-"""Where tiles lie that are not in memory: in a file of their own, or still in the store that the map began with."""
+"""Tiles outside memory: in the spill file, or still in the store that the map began with."""
 
 import errno
 import fcntl
@@ -23,14 +23,14 @@ from roughmap_service.store.stored_tiles import StoredTiles
 
 ROW_BYTES = TILE_CELLS * CELL_DTYPE.itemsize
 NOWHERE, STORED = -1, -2
-"""What `_slice` says of a place that is free, and of one whose tile lies in the store."""
+"""Values of `_slice` for a free place, and for a place whose tile is in the store."""
 
 STEP = 1024
-"""Places by which the tables grow."""
+"""The tables grow by this many places."""
 
 
 class SpillError(ReportedError):
-    """A spill file that can't be used, or does not hold what was written; one line."""
+    """A spill file that can't be used or is damaged; one line."""
 
     exit_code = 2
 
@@ -39,14 +39,14 @@ Write = Callable[[int, Sequence[memoryview], int], int]
 
 
 class Spill(Shelf):
-    """The map's shelf. A context manager: the file is made anew at the start and removed at the end.
+    """The map's shelf, in a spill file of at most ``limit`` bytes. A context manager that creates and removes the file.
 
-    Each tile in the file has a slice of 256 KiB, of which only its known rows are written, one after the other: what
-    is left over is a hole, which costs no disk. They are not compressed: that costs more time than it saves.
+    Each tile has a slice of 256 KiB of the file. Only its known rows are written, one after another; the rest of the
+    slice is a hole, which takes no disk space. Rows are not compressed: that would cost more time than it saves.
 
     Attributes:
-        failure: what was found damaged by a reader, in one line; empty if nothing was.
-        store_damaged: whether that was in the store.
+        failure: the damage that a read found, in one line; "" if there is none.
+        store_damaged: whether that damage is in the store.
     """
 
     def __init__(self, path: Path, limit: int, *, write: Write = os.pwritev) -> None:
@@ -54,21 +54,21 @@ class Spill(Shelf):
         self.path = path
         self.failure = ""
         self.store_damaged = False
-        self._most = limit // SLOT_BYTES
+        self._max_slices = limit // SLOT_BYTES
         self._pwritev = write
         self._stored: StoredTiles | None = None
-        self._number = np.zeros(0, np.int32)  # of a place: which of the stored tiles it is
+        self._number = np.zeros(0, np.int32)  # of a place: its tile's number in the store's index
         self._slice = np.zeros(0, np.int32)
         self._rows = np.zeros(0, np.uint64)
         self._check = np.zeros(0, np.uint64)
-        self._left: list[int] = []
+        self._free_slices: list[int] = []
         self._slices = 0
-        self._file = _open_anew(path)
+        self._file = _create_locked(path)
 
     @property
     def room(self) -> int:
-        """How many tiles more the file may take."""
-        return self._most - self._slices + len(self._left)
+        """How many more tiles the file may take."""
+        return self._max_slices - self._slices + len(self._free_slices)
 
     def _grow(self, number: int = STEP) -> None:
         slices = np.append(self._slice, np.full(number, NOWHERE, np.int32))
@@ -78,26 +78,26 @@ class Spill(Shelf):
         self._slice, self._rows, self._check = slices, rows, check
 
     def allocate(self, number: int) -> I4:
-        """Places with a slice of the file each; MemoryError, and nothing taken, beyond `room`."""
+        """Allocate places with a slice of the file each; MemoryError, and no change, beyond `room`."""
         if number > self.room:
-            raise MemoryError(f"{self.path}: {number} tiles more, room for {self.room}")
+            raise MemoryError(f"{self.path}: room for {self.room} more tiles, not for {number}")
         places = super().allocate(number)
         for place in places.tolist():
-            if not self._left:
-                self._left.append(self._slices)
+            if not self._free_slices:
+                self._free_slices.append(self._slices)
                 self._slices += 1
-            self._slice[place] = self._left.pop()
+            self._slice[place] = self._free_slices.pop()
         return places
 
     def adopt(self, stored: StoredTiles) -> I4:
-        """Places for all tiles of a store, which stay there; before anything else lies here."""
+        """Allocate places for all tiles of a store, which stay in it; only before any other place is allocated."""
         if self.used:
             raise ValueError("expected a spill file without tiles")
-        if self._stored is not None:  # of a recovery that failed, and begins again
+        if self._stored is not None:  # from a recovery that failed and begins again
             self._stored.close()
         self._stored = stored
         number = len(stored.index.tx)
-        self._grow(max(number - len(self._free), 0))  # at once: step by step, millions would take minutes
+        self._grow(max(number - len(self._free), 0))  # in one step: millions of tiles in small steps would take minutes
         places = super().allocate(number)
         self._slice[places] = STORED
         self._number = np.zeros(len(self.pins), np.int32)
@@ -106,12 +106,12 @@ class Spill(Shelf):
 
     def _recycle(self, place: int) -> None:
         if self._slice[place] >= 0:
-            self._left.append(int(self._slice[place]))
+            self._free_slices.append(int(self._slice[place]))
         self._slice[place] = NOWHERE
         super()._recycle(place)
 
-    def outlived(self) -> I8:
-        """The places of tiles that have changed since they were stored, and are still read as they were then."""
+    def outdated(self) -> I8:
+        """Return the places in the store of tiles that have changed since, and that frozen maps may still read."""
         return np.flatnonzero((self._slice == STORED) & ~self.live)
 
     def write(self, place: int, records: Records, rows: int) -> None:
@@ -127,7 +127,7 @@ class Spill(Shelf):
         """See `Shelf.read`. SpillError or StoreError, which is also remembered as `failure`."""
         try:
             if self._slice[place] == STORED:
-                assert self._stored is not None  # noqa: S101 - that is where the place comes from
+                assert self._stored is not None  # noqa: S101 - `adopt` made the place
                 self._stored.read(int(self._number[place]), records)
             else:
                 self._read_file(place, records)
@@ -143,9 +143,9 @@ class Spill(Shelf):
         try:
             read = os.preadv(self._file, parts, int(self._slice[place]) * SLOT_BYTES)
         except OSError as error:
-            raise SpillError(f"{self.path}: {error.strerror}; start again, the log has all") from None
+            raise SpillError(f"{self.path}: {error.strerror}; start again: the map is rebuilt from the log") from None
         if read < rows.bit_count() * ROW_BYTES or _checksum(parts) != int(self._check[place]):
-            raise SpillError(f"{self.path}: a tile is not as it was written; start again, the log has all")
+            raise SpillError(f"{self.path}: a tile is damaged; start again: the map is rebuilt from the log")
 
     def close(self) -> None:
         """Remove the file."""
@@ -165,31 +165,32 @@ class Spill(Shelf):
         self.close()
 
 
-def _open_anew(path: Path) -> int:
-    """A descriptor of the file, made anew, held against other processes. SpillError if it can't be had.
+def _create_locked(path: Path) -> int:
+    """Create the file, lock it against other processes, and return its descriptor; SpillError if that fails.
 
-    What lies there is never written to: it may be somebody else's, who would read in it, or another name of a file.
+    A file that is there already is removed, never written to: another user may have it open, or it may be a second name
+    of another file.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileNotFoundError):
-            left = _held(path, 0)
+            left = _open_locked(path, 0)
             path.unlink()
             os.close(left)
-        return _held(path, os.O_CREAT | os.O_EXCL)
+        return _open_locked(path, os.O_CREAT | os.O_EXCL)
     except BlockingIOError:
         raise SpillError(f"{path}: held by another service; give this one its own map.spill_path") from None
     except OSError as error:
-        raise SpillError(f"{path}: {error.strerror}; map.spill_path names a file that can be written") from None
+        raise SpillError(f"{path}: {error.strerror}; set map.spill_path to a file that can be written") from None
 
 
-def _held(path: Path, flags: int) -> int:
-    """The plain file, opened and locked."""
+def _open_locked(path: Path, flags: int) -> int:
+    """Open and lock a plain file; return its descriptor."""
     file = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | flags, 0o600)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if not stat.S_ISREG(os.fstat(file).st_mode):
-            raise SpillError(f"{path}: is no plain file; map.spill_path names one that may be emptied")
+            raise SpillError(f"{path}: not a plain file; set map.spill_path to a file that may be removed")
     except BaseException:
         os.close(file)
         raise

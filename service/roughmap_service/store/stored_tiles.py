@@ -1,4 +1,4 @@
-"""The tiles of a map.db, taken from it when they are first needed."""
+"""The tiles of the store, read from it when they are first needed."""
 
 import sqlite3
 from collections import deque
@@ -14,14 +14,15 @@ from roughmap.tiles.shelf import copy_known_rows
 from roughmap_service.store.map_db import READ_ERRORS, READ_INDEX, TILE_BYTES, Cut, Store, read_error
 
 READ_TILE = "SELECT CASE WHEN length(records) <= ? THEN records END FROM tiles WHERE tx = ? AND ty = ?"
+"""Selects a tile's records, or NULL if they are longer than a bound: a damaged length must not become an allocation."""
 
-CHUNK = 1 << 14
-"""Rows that are in memory as Python's objects at a time."""
+CHUNK_ROWS = 1 << 14
+"""Rows that are in memory as Python objects at a time."""
 
 
 @dataclass(frozen=True, eq=False)
 class TileIndex:
-    """Which tiles are stored: (T,) ``tx``, ``ty``, ``oldest_ns``, ``newest_ns``, and (T, 16) ``digest``."""
+    """The stored tiles without their records: (T,) ``tx``, ``ty``, ``oldest_ns``, ``newest_ns``; (T, 16) ``digest``."""
 
     tx: I4
     ty: I4
@@ -31,32 +32,32 @@ class TileIndex:
 
 
 def read_index(store: Store) -> TileIndex:
-    """The index of all tiles, without their records. StoreError if it can be none."""
+    """Return the index of all stored tiles; StoreError if it is damaged."""
     numbers, digests = [np.zeros((0, 4), np.int64)], [b""]
-    with store.reading() as db:
+    with store.connection() as db:
         rows = db.execute(f"{READ_INDEX} FROM tiles ORDER BY tx, ty")
-        while part := rows.fetchmany(CHUNK):
-            numbers.append(store.checked([row[:4] for row in part], [row[4] for row in part]))
+        while part := rows.fetchmany(CHUNK_ROWS):
+            numbers.append(store.verify_index([row[:4] for row in part], [row[4] for row in part]))
             try:
                 digests.append(b"".join(row[5] for row in part))
             except TypeError as error:
                 raise store.damaged(str(error)) from None
             if len(digests[-1]) != 16 * len(part):
-                raise store.damaged("a digest is not of 16 bytes")
+                raise store.damaged("a digest that does not have 16 bytes")
     table = np.concatenate(numbers)
     if len(table) and not (table[:, :2].min() >= -(1 << 31) and table[:, :2].max() < 1 << 31):
-        raise store.damaged("a tile's number is not of 32 bits")
+        raise store.damaged("a tile's number that does not fit 32 bits")
     tx, ty, oldest, newest = table.T
     digest = np.frombuffer(b"".join(digests), np.uint8).reshape(-1, 16)
     return TileIndex(tx.astype(np.int32), ty.astype(np.int32), oldest.copy(), newest.copy(), digest)
 
 
 class StoredTiles:
-    """Reads the records of tiles, by their number in the index; any thread may, and none waits for another.
+    """Reads the records of tiles by their number in the index, from any number of threads without waiting.
 
-    Each read has a connection to itself: there are as many as were ever needed at once, at most one a thread. One more
-    is only kept open: SQLite has whoever closes the last one write back its log with all readers locked out, for as
-    long as a slow disk takes, and that would be each snapshot.
+    Each read has a connection of its own; there are as many as were ever needed at once, at most one per thread. One
+    more is kept open without use: SQLite writes back its log, with all readers locked out, when the last connection is
+    closed, and without it each snapshot would do that for as long as a slow disk takes.
     """
 
     def __init__(self, store: Store) -> None:
@@ -65,34 +66,36 @@ class StoredTiles:
         self._idle: deque[sqlite3.Connection] = deque()
         self._closed = False
         try:
-            self._kept = store.open_reading(check_same_thread=False)
-            self._kept.execute("SELECT count(*) FROM sqlite_master").fetchone()  # it holds the file from here on
+            self._kept = store.open_connection(check_same_thread=False)
+            self._kept.execute("SELECT count(*) FROM sqlite_master").fetchone()  # opens the file
         except READ_ERRORS as error:
             raise read_error(store.path, error) from None
 
     def read(self, number: int, records: Records) -> None:
-        """Fill (4096,) zeroed records. StoreError names a tile that is damaged, or is no longer the indexed one;
-        MemoryError if there is none for it now."""
+        """Read the tile ``number`` into (4096,) zeroed records.
+
+        StoreError names a tile that is damaged or no longer the indexed one. MemoryError if memory is short.
+        """
         index = self.index
         tx, ty = int(index.tx[number]), int(index.ty[number])
         try:
             with self._connection() as db:
                 row = db.execute(READ_TILE, (2 * TILE_BYTES, tx, ty)).fetchone()
         except MemoryError:
-            raise  # the machine's: a length that is damaged was not asked for
+            raise  # memory is short: `READ_TILE` does not ask for a damaged length
         except READ_ERRORS as error:
             raise read_error(self.store.path, error) from None
         blob = None if row is None else row[0]
-        copy_known_rows(self.store.unpacked(tx, ty, index.digest[number].tobytes(), blob), records)
+        copy_known_rows(self.store.unpack(tx, ty, index.digest[number].tobytes(), blob), records)
 
     @contextmanager
     def _connection(self) -> Iterator[sqlite3.Connection]:
-        """One that is idle, or another."""
+        """Give an idle connection or a new one."""
         try:
-            db = self._idle.pop()  # a deque's ends are safe from any thread
+            db = self._idle.pop()  # a deque is safe to pop from any thread
         except IndexError:
-            db = self.store.open_reading(check_same_thread=False)
-            db.execute("PRAGMA cache_size = -64")  # KiB: a tile is read once, and 2 MiB of its pages would stay
+            db = self.store.open_connection(check_same_thread=False)
+            db.execute("PRAGMA cache_size = -64")  # KiB; a tile is read once, and the default would keep 2 MiB of pages
         try:
             yield db
         finally:
@@ -101,7 +104,7 @@ class StoredTiles:
                 self.close()
 
     def close(self) -> None:
-        """Let go of the file; of what is being read right now, when that is done."""
+        """Close all connections; one that is in use is closed after its read."""
         self._closed = True
         self._kept.close()
         with suppress(IndexError):
@@ -110,7 +113,7 @@ class StoredTiles:
 
 
 def set_index(rough_map: RoughMap, cut: Cut, stored: StoredTiles, places: I4) -> None:
-    """Fill an empty map with the stored tiles, which lie in ``places`` of its shelf, at the cut's sequence."""
+    """Fill an empty map with the stored tiles, at ``places`` of its shelf, and set the cut's sequence."""
     index = stored.index
     rough_map.set_sequence(cut.sequence)
     try:

@@ -1,4 +1,4 @@
-"""Prometheus metrics, made at each scrape from the status and the counters that the status is made from."""
+"""Prometheus metrics, made at each scrape from the same counters as the status."""
 
 import platform
 import shutil
@@ -23,24 +23,24 @@ from roughmap_service.watch.readiness import Problem, is_ready
 R = TypeVar("R", bound=StrEnum)
 
 DISK_SECONDS = 10.0
-"""The sizes of log and store are looked up at most so often: a log may have thousands of files."""
+"""Shortest time between two look-ups of the files' sizes: a log may have thousands of files."""
 
 
 @dataclass(frozen=True, slots=True)
-class Depths:
-    """What waits where, and what else only the parts of the running service know."""
+class PartFigures:
+    """Figures that neither the status nor the counters have; the running parts report them."""
 
-    intake_bytes: int = 0
+    input_queue_bytes: int = 0
     inbox_bytes: int = 0
     log_bytes: int = 0
     queries_waiting: int = 0
     snapshot_sequence: int = 0
     snapshot_ok: bool = True
-    memory_taken: int = 0
+    memory_counted: int = 0
 
 
 class Disk:
-    """Bytes of the log's files, the store's and the spill file, and room beside them."""
+    """Sizes of the log, the store and the spill file, and the free space on their disks."""
 
     def __init__(self, log: Path, store: Path | None, spill: Path | None = None) -> None:
         self._log = log
@@ -50,8 +50,10 @@ class Disk:
         self._sizes: dict[str, tuple[int, int]] = {}
 
     def sizes(self) -> dict[str, tuple[int, int]]:
-        """Of "log" and, where there are any, "store" and "spill": (bytes held, bytes free on its disk), as of the last
-        seconds."""
+        """Return (bytes used, bytes free on the disk) of "log", and of "store" and "spill" if they are configured.
+
+        The figures may be `DISK_SECONDS` old.
+        """
         now = time.monotonic()
         if now - self._looked >= DISK_SECONDS:
             self._looked = now
@@ -60,8 +62,9 @@ class Disk:
                 parts = self._store.parent.glob(f"{self._store.name}*")
                 self._sizes["store"] = (_total(parts), _free(self._store.parent))
             if self._spill is not None:
-                blocks = self._spill.stat().st_blocks * 512 if self._spill.exists() else 0  # its length has holes
-                self._sizes["spill"] = (blocks, _free(self._spill.parent))
+                # Blocks and not its length: the file has holes.
+                size = self._spill.stat().st_blocks * 512 if self._spill.exists() else 0
+                self._sizes["spill"] = (size, _free(self._spill.parent))
         return self._sizes
 
 
@@ -83,20 +86,20 @@ def _free(directory: Path) -> int:
 
 
 class Metrics(Collector):
-    """All metrics of one service; ``problems`` are those of its readiness."""
+    """All metrics of one service; ``problems`` returns those of its readiness."""
 
     def __init__(
         self,
         status: Callable[[], MapStatus],
         counters: Counters,
-        depths: Callable[[], Depths],
+        figures: Callable[[], PartFigures],
         problems: Callable[[], Mapping[Problem, str]],
         disk: Disk,
         memory_limit: int,
     ) -> None:
         self._status = status
         self._counters = counters
-        self._depths = depths
+        self._figures = figures
         self._problems = problems
         self._disk = disk
         self._memory_limit = memory_limit
@@ -105,85 +108,90 @@ class Metrics(Collector):
         ProcessCollector(registry=self._registry)
 
     def text(self) -> bytes:
-        """All of them in Prometheus' text form; waits for the rest of one scan's integration at most."""
+        """Return all metrics in Prometheus' text format. Waits for the rest of one scan's integration at most."""
         return generate_latest(self._registry)
 
     def describe(self) -> Iterable[Metric]:
-        """Nothing: what is registered need not be made for that."""
+        """Return nothing, so that registering does not collect."""
         return ()
 
     def collect(self) -> Iterator[Metric]:
-        """Every family, from one status and one copy of the counters."""
-        status, counts, depths = self._status(), self._counters.snapshot(), self._depths()
+        """Yield every family, from one status and one copy of the counters."""
+        status, counts, figures = self._status(), self._counters.snapshot(), self._figures()
         build = {"version": status.version, "python": platform.python_version()}
-        yield InfoMetricFamily("roughmap_build", "What runs.", value=build)
+        yield InfoMetricFamily("roughmap_build", "Version of roughmap and of Python.", value=build)
         named = {"map": status.map, "frame_id": status.frame_id, "error_model": status.error_model}
-        told = {**named, "instance": status.instance, "configuration_digest": status.configuration_digest}
-        yield InfoMetricFamily("roughmap_map", "The map that is kept.", value=told)
+        labels = {**named, "instance": status.instance, "configuration_digest": status.configuration_digest}
+        yield InfoMetricFamily("roughmap_map", "The served map.", value=labels)
         yield from self._inputs(status)
-        yield _durations("lag", "From a cloud's arrival until queries see it.", {"": counts.lag})
-        yield _durations("integration", "Placing a cloud and adding it to the map.", {"": counts.integration})
-        yield _durations("log_sync", "Bringing the log to the disk (fsync).", {"": counts.log_sync})
-        yield _durations("query", "Answering tile, region and cells queries.", counts.queries, "outcome")
+        yield _durations("lag", "Time from a cloud's arrival until queries see it.", {"": counts.lag})
+        yield _durations("integration", "Time to place a cloud and add it to the map.", {"": counts.integration})
+        yield _durations("log_sync", "Time to sync the log to disk (fsync).", {"": counts.log_sync})
+        yield _durations("query", "Time to answer tile, region and cells queries.", counts.queries, "outcome")
         yield _counter(
-            "outputs_dropped", "Records of answers and updates that found no room on their way to the log.", "kind",
+            "outputs_dropped", "Records of answers and updates that the log dropped for lack of room.", "kind",
             {"queries": 0, "updates": 0} | counts.outputs_dropped,
         )  # fmt: skip
         yield from self._state(status)
         yield _gauge(
-            "queue_bytes", "What waits: messages to be numbered, clouds for poses, records for the disk.", "queue",
-            {"intake": depths.intake_bytes, "inbox": depths.inbox_bytes, "log": depths.log_bytes},
+            "queue_bytes", "Messages to be numbered (intake), clouds (inbox), records for the disk (log).", "queue",
+            {"intake": figures.input_queue_bytes, "inbox": figures.inbox_bytes, "log": figures.log_bytes},
         )  # fmt: skip
         yield _gauge(
-            "memory_counted_bytes", "What of the memory counts against map.memory_limit.", value=depths.memory_taken
+            "memory_counted_bytes", "Memory that counts against map.memory_limit.", value=figures.memory_counted
         )
-        yield _gauge("queries_waiting", "Queries that wait for a worker.", value=depths.queries_waiting)
-        yield _gauge("snapshot_sequence", "The map's sequence in the store.", value=depths.snapshot_sequence)
-        yield _gauge("snapshot_ok", "1 unless the last snapshot failed.", value=depths.snapshot_ok)
+        yield _gauge("queries_waiting", "Queries that wait for a worker.", value=figures.queries_waiting)
+        yield _gauge("snapshot_sequence", "Sequence of the map in the store.", value=figures.snapshot_sequence)
+        yield _gauge("snapshot_ok", "1 unless the last snapshot failed.", value=figures.snapshot_ok)
         sizes = self._disk.sizes()
-        yield _gauge(
-            "disk_bytes", "Bytes that the log files, the store and the spill file take.", "what", _part(sizes, 0)
-        )
-        yield _gauge("disk_free_bytes", "Room on the disk that holds them.", "what", _part(sizes, 1))
+        yield _gauge("disk_bytes", "Size of the log files, the store and the spill file.", "what", _part(sizes, 0))
+        yield _gauge("disk_free_bytes", "Free space on the disk of each.", "what", _part(sizes, 1))
 
     def _inputs(self, status: MapStatus) -> Iterator[Metric]:
         clouds, points, poses = status.clouds, status.points, status.poses
         yield _counter("clouds_accepted", "Clouds integrated.", value=clouds.accepted)
-        yield _counter("clouds_rejected", "Clouds that changed nothing.", "reason", _all(CloudReason, clouds.rejected))
-        yield _gauge("clouds_waiting", "Clouds without a decision.", value=clouds.waiting)
-        yield _counter("points_accepted", "Points that reached a cell.", value=points.accepted)
-        yield _counter("points_rejected", "Points that did not.", "reason", _all(PointReason, points.rejected))
-        yield _counter("poses_accepted", "Poses taken up.", value=poses.accepted)
-        yield _counter("poses_rejected", "Logged poses that were not.", "reason", _all(PoseReason, poses.rejected))
+        rejected = _all(CloudReason, clouds.rejected)
+        yield _counter("clouds_rejected", "Clouds logged but not integrated.", "reason", rejected)
+        yield _gauge("clouds_waiting", "Clouds that wait for a decision.", value=clouds.waiting)
+        yield _counter("points_accepted", "Points added to the map.", value=points.accepted)
+        rejected = _all(PointReason, points.rejected)
+        yield _counter("points_rejected", "Points not added to the map.", "reason", rejected)
+        yield _counter("poses_accepted", "Poses used.", value=poses.accepted)
+        rejected = _all(PoseReason, poses.rejected)
+        yield _counter("poses_rejected", "Poses logged but not used.", "reason", rejected)
         refused = _all(Refusal, status.refused)
-        yield _counter("messages_refused", "Messages that never reached the log.", "reason", refused)
-        # Robots are bounded where they are counted, see `counters.OTHERS`.
-        yield _counter("messages_missing", "Messages lost on the way here (gaps).", "robot", status.gaps)
+        yield _counter("messages_refused", "Messages refused before they were logged.", "reason", refused)
+        # The counters bound the number of robots, see `counters.OTHERS`.
+        yield _counter("messages_missing", "Sent messages that never arrived.", "robot", status.gaps)
         yield _counter("transform_jumps", "Jumps of a robot's frame transform.", "robot", status.jumps)
 
     def _state(self, status: MapStatus) -> Iterator[Metric]:
         problems = self._problems()
-        yield _gauge("ready", "1 if it takes in and answers, as /readyz says.", value=is_ready(problems))
+        yield _gauge("ready", "1 if the service accepts messages and answers queries.", value=is_ready(problems))
         present = {str(problem): problem in problems for problem in Problem}
-        yield _gauge("problem", "1 for each that it suffers from.", "problem", present)
+        yield _gauge("problem", "1 for each present problem.", "problem", present)
         health = {state: status.health == state for state in ("ok", "overloaded", "degraded")}
-        yield _gauge("health", "1 for the one that holds.", "state", health)
-        yield _gauge("log_ok", "1 unless the log can't be written.", value=status.log.ok)
-        yield _gauge("log_file_bytes", "Bytes of the log file that is being written.", value=status.log.bytes)
-        yield _gauge("sequence", "The map's version.", value=status.sequence)
-        yield _gauge("durable_sequence", "The version that the log holds on the disk.", value=status.durable_sequence)
-        yield _gauge("epoch", "+1 at every start and reset.", value=status.epoch)
-        yield _gauge("input", "The log's number of the last message.", value=status.input)
-        yield _gauge("newest_stamp_seconds", "Stamp of the map's newest point.", value=status.newest_stamp_ns / 1e9)
+        yield _gauge("health", "1 for the present state of health.", "state", health)
+        yield _gauge("log_ok", "1 if the log can be written.", value=status.log.ok)
+        yield _gauge("log_file_bytes", "Size of the log file that is being written.", value=status.log.bytes)
+        yield _gauge("sequence", "Sequence of the map: +1 with each integrated cloud or reset.", value=status.sequence)
+        yield _gauge(
+            "durable_sequence", "Sequence of the map that the log on disk reproduces.", value=status.durable_sequence
+        )
+        yield _gauge("epoch", "Epoch of the map: +1 with each start or reset.", value=status.epoch)
+        yield _gauge("input", "Number of the last logged message.", value=status.input)
+        yield _gauge(
+            "newest_stamp_seconds", "Stamp of the newest point in the map.", value=status.newest_stamp_ns / 1e9
+        )
         tiles = {"resident": status.tiles.resident, "spilled": status.tiles.spilled}
-        yield _gauge("tiles", "Level-0 tiles in memory and in the spill file.", "where", tiles)
-        yield _gauge("memory_bytes", "The process's resident memory.", value=status.memory_bytes)
-        yield _gauge("memory_limit_bytes", "map.memory_limit.", value=self._memory_limit)
-        yield _gauge("uptime_seconds", "Since this start.", value=status.uptime_s)
+        yield _gauge("tiles", "Level-0 tiles, by where they are: in memory or spilled.", "where", tiles)
+        yield _gauge("memory_bytes", "Resident memory of the process.", value=status.memory_bytes)
+        yield _gauge("memory_limit_bytes", "The setting map.memory_limit.", value=self._memory_limit)
+        yield _gauge("uptime_seconds", "Time since this start.", value=status.uptime_s)
 
 
 def _all(reasons: type[R], counts: Mapping[R, int]) -> dict[str, float]:
-    """Every reason of an enumeration, so that a rate has its zero to start from."""
+    """Return the count of every reason, zeros included: a rate needs a first value."""
     return {str(reason): counts.get(reason, 0) for reason in reasons}
 
 

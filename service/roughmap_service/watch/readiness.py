@@ -1,4 +1,4 @@
-"""What is wrong with the service, whether it takes in and answers in spite of it, and the one word for its health."""
+"""The problems of the service, and what they mean: is it ready, and which word describes its health."""
 
 import threading
 import time
@@ -10,12 +10,12 @@ from typing import Literal
 from roughmap_schemas.messages import MapStatus
 
 STALLED_SECONDS = 10.0
-"""The sequencer turns twice a second even when idle, and for as long as one scan takes when busy: if it has not for so
-long, it hangs, or its disk does."""
+"""The sequencer counts as stalled after this time without a turn. When idle it turns twice a second; when busy, a turn
+takes as long as a scan."""
 
 
 class Problem(StrEnum):
-    """What may be wrong with a service."""
+    """What can be wrong with a service."""
 
     STARTING = "starting"
     SHUTTING_DOWN = "shutting_down"
@@ -27,40 +27,43 @@ class Problem(StrEnum):
     OVERLOADED = "overloaded"
 
 
-HINDERS_NOTHING = frozenset({Problem.SNAPSHOT_FAILED})
-"""It takes in and answers all the same, so it stays ready, though its health says `degraded`."""
+NOT_BLOCKING = frozenset({Problem.SNAPSHOT_FAILED})
+"""Problems with which the service still accepts messages and answers queries: it stays ready, but is `degraded`."""
 
 
 def is_ready(problems: Collection[Problem]) -> bool:
-    """Whether it takes in and answers in spite of them."""
-    return HINDERS_NOTHING.issuperset(problems)
+    """Return whether a service with these problems accepts messages and answers queries."""
+    return NOT_BLOCKING.issuperset(problems)
 
 
 def health_of(problems: Collection[Problem]) -> Literal["ok", "overloaded", "degraded"]:
-    """The status's one word for them."""
+    """Return the status's word for these problems."""
     if not problems:
         return "ok"
     return "overloaded" if set(problems) == {Problem.OVERLOADED} else "degraded"
 
 
+OVERLOADED_TEXT = "input arrives faster than it can be integrated; the oldest clouds are dropped and counted"
+
+
 class Readiness:
-    """What any thread may ask at any time, from before the map is recovered until after it is stored."""
+    """Holds the current source of problems; any thread may ask, from before recovery until after the last snapshot."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._look: Callable[[], Mapping[Problem, str]] = lambda: {Problem.STARTING: "the map is being recovered"}
 
     def become(self, look: Callable[[], Mapping[Problem, str]]) -> None:
-        """From now on ``look`` tells the problems, each with its cause in plain words."""
+        """From now on, take the problems, each with its cause, from ``look``."""
         with self._lock:
             self._look = look
 
     def end(self) -> None:
-        """The service is shutting down."""
+        """Report that the service is shutting down."""
         self.become(lambda: {Problem.SHUTTING_DOWN: "the service is shutting down"})
 
     def problems(self) -> dict[Problem, str]:
-        """What is wrong now, of which `is_ready` makes whether it is ready."""
+        """Return the present problems, each with its cause."""
         with self._lock:
             look = self._look
         return dict(look())
@@ -78,28 +81,31 @@ def running_problems(
     store_error: str,
     overloaded: bool,
 ) -> dict[Problem, str]:
-    """The problems of a service that runs; ``turned`` is when the sequencer last began a turn, in monotonic s."""
+    """Return the problems of a running service.
+
+    ``turned`` is the monotonic time, in seconds, at which the sequencer began its last turn.
+    """
     found: dict[Problem, str] = {}
-    idle = time.monotonic() - turned
+    idle_s = time.monotonic() - turned
     if not alive:
-        found[Problem.SEQUENCER_DEAD] = f"the sequencer ended: {failure}"
-    elif idle > STALLED_SECONDS:
-        why = f"the sequencer has taken nothing up for {idle:.0f} s: it hangs, or its disk does"
+        found[Problem.SEQUENCER_DEAD] = f"the sequencer failed: {failure}"
+    elif idle_s > STALLED_SECONDS:
+        why = f"the sequencer has done nothing for {idle_s:.0f} s: it or its disk hangs"
         found[Problem.SEQUENCER_STALLED] = why
     if not log_ok:
         found[Problem.LOG_NOT_WRITABLE] = f"the log can't be written: {log_error}"
     if not memory_ok:
-        found[Problem.MEMORY_FULL] = "tiles can't leave memory; beyond map.memory_limit no new ones are taken"
+        found[Problem.MEMORY_FULL] = "tiles can't be spilled; past map.memory_limit, clouds with new tiles are rejected"
     if not store_ok:
-        found[Problem.SNAPSHOT_FAILED] = f"the store can't be written: {store_error}; the log holds all"
+        found[Problem.SNAPSHOT_FAILED] = f"the store can't be written: {store_error}; the log holds everything"
     if overloaded:
-        found[Problem.OVERLOADED] = "more comes in than can be integrated; the oldest clouds are dropped and counted"
+        found[Problem.OVERLOADED] = OVERLOADED_TEXT
     return found
 
 
 @dataclass
 class Sources:
-    """Where the pages have what they show; what is None is not there yet."""
+    """Where the pages get what they show. A source that is None is not available yet."""
 
     readiness: Readiness
     map: str = ""

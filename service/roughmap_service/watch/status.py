@@ -1,4 +1,4 @@
-"""The status: how the service and its map are."""
+"""The status of the service and its map, made on request and published once a second."""
 
 import logging
 import threading
@@ -26,22 +26,22 @@ from roughmap_schemas.messages import (
     model_bytes,
 )
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
-from roughmap_service.answers.tile_reply import Identity
+from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.host.counters import Counters
 from roughmap_service.host.log_lines import note
 from roughmap_service.run.view import View
 from roughmap_service.store.memory_limit import memory_bytes
-from roughmap_service.watch.readiness import Problem, health_of
+from roughmap_service.watch.readiness import OVERLOADED_TEXT, Problem, health_of
 
-LOG = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
-PERIOD_S = 1.0
-"""The contract's 1 Hz."""
+PERIOD_SECONDS = 1.0
+"""Time between two published statuses; the contract promises 1 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
-    """What only the running parts know, as of one moment."""
+class RunProgress:
+    """The part of the status that the running parts report, at one moment."""
 
     durable_sequence: int = 0
     input: int = 0
@@ -59,30 +59,30 @@ class Status:
         view: View,
         counters: Counters,
         config: Config,
-        identity: Identity,
+        served: ServedMap,
         version: str,
-        progress: Callable[[], Progress],
+        progress: Callable[[], RunProgress],
     ) -> None:
         self._view = view
         self._counters = counters
         self._map = config.map
-        self._identity = identity
+        self._served = served
         self._version = version
         self._progress = progress
         self._started = time.monotonic()
 
     def __call__(self) -> MapStatus:
-        """The status now; waits for the rest of one scan's integration at most."""
-        progress = self._progress()  # first, so that where no cloud waits the map has all of them
+        """Return the status now. Waits for the rest of one scan's integration at most."""
+        progress = self._progress()  # first: if no cloud waits in it, the map below has all of them
         with self._view.reading() as rough_map:
             epoch, sequence = self._view.epoch, rough_map.sequence
             extent, tiles, resident = rough_map.extent(), rough_map.tile_count, rough_map.resident_tiles
         counts = self._counters.snapshot()
         lag, (clouds, points, poses) = self._counters.lag(), self._counters.rates()
         return MapStatus(
-            map=self._identity.map,
-            run=self._identity.run,
-            instance=self._identity.instance,
+            map=self._served.map,
+            run=self._served.run,
+            instance=self._served.instance,
             epoch=epoch,
             version=self._version,
             frame_id=self._map.frame_id,
@@ -92,7 +92,7 @@ class Status:
             bounds=self._map.bounds,
             extent=extent,
             error_model=self._map.error_model,
-            configuration_digest=self._identity.configuration_digest,
+            configuration_digest=self._served.configuration_digest,
             health=health_of(progress.problems),
             sequence=sequence,
             durable_sequence=progress.durable_sequence,
@@ -143,7 +143,7 @@ class StatusPublisher:
         self.close()
 
     def close(self) -> None:
-        """End; waits for a status that is being sent, 2 s at most."""
+        """End; wait at most 2 s for a status that is being sent."""
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join(2.0)
@@ -155,8 +155,8 @@ class StatusPublisher:
             try:
                 status = self._status()
                 overload.watch(status)
-                # DROP: the next status makes up for a lost one, and a reader that stalls must not hold it up; with the
-                # events' priority, in whose queue nobody waits for room.
+                # DROP: the next status replaces a lost one, and a stalled reader must not delay it. DATA_HIGH, like
+                # events: nothing blocks in the queue of that priority.
                 self._session.put(
                     self._key,
                     model_bytes(status),
@@ -164,30 +164,30 @@ class StatusPublisher:
                     congestion_control=zenoh.CongestionControl.DROP,
                     priority=zenoh.Priority.DATA_HIGH,
                 )
-            except Exception:  # whoever watches would take silence for a dead service
+            except Exception:  # without further statuses the service would seem dead
                 if self._session.is_closed():
                     return
-                LOG.exception("the status could not be published")
-            self._closing.wait(PERIOD_S)
+                logger.exception("cannot publish the status; trying again in %g s", PERIOD_SECONDS)
+            self._closing.wait(PERIOD_SECONDS)
 
 
 class Overload:
-    """Tells in the log lines when an overload begins and when it ends, and what it cost."""
+    """Logs when an overload begins and when it ends, with the number of messages it cost."""
 
     def __init__(self) -> None:
         self._begun = False
-        self._before = 0  # dropped before the present overload
+        self._before = 0  # messages dropped before the present overload
 
     def watch(self, status: MapStatus) -> None:
-        """The next status, in the order of time."""
+        """Take the next status, in order of time."""
         dropped = status.clouds.rejected.get(CloudReason.OVERLOAD, 0) + status.refused.get(Refusal.BUSY, 0)
         if status.health == "overloaded" and not self._begun:
             self._begun = True
-            text = "overloaded: more comes in than can be integrated; the oldest clouds are dropped and counted"
-            note(LOG, logging.WARNING, "overload_begun", text, always=True, waiting=status.clouds.waiting)
+            text = f"overloaded: {OVERLOADED_TEXT}"
+            note(logger, logging.WARNING, "overload_begun", text, always=True, waiting=status.clouds.waiting)
         elif status.health == "ok":
             if self._begun:
                 lost = dropped - self._before
-                text = f"no longer overloaded; {lost} messages were dropped or turned away meanwhile"
-                note(LOG, logging.INFO, "overload_ended", text, always=True, dropped=lost)
+                text = f"no longer overloaded; {lost} messages were dropped or refused"
+                note(logger, logging.INFO, "overload_ended", text, always=True, dropped=lost)
             self._begun, self._before = False, dropped

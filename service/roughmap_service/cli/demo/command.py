@@ -1,4 +1,4 @@
-"""`roughmap demo`: the whole job once, on this machine, with the truth known."""
+"""`roughmap demo`: service, rover, planner and replay on this machine, compared with the known ground."""
 
 import json
 import shutil
@@ -15,31 +15,36 @@ if TYPE_CHECKING:
     from roughmap_service.cli.demo.steps import Outcome
 
 CONFIG_NAME = "demo.toml"
-"""Also the mark of a folder that an earlier demo made, and that this one may clear."""
+"""A folder with this file was made by an earlier demo and may be cleared."""
 
 MADE = (CONFIG_NAME, "height.png", "confidence.png", "traversability.png", "serve.txt", "simulate.txt", "replay.txt")
-"""The files that a demo leaves, beside its log."""
+"""The files that a demo writes, beside its log."""
 
 
 @click.command
-@click.option("--seconds", type=click.FloatRange(2, 3600), default=36.0, show_default=True, help="How long to drive.")
+@click.option(
+    "--seconds", type=click.FloatRange(2, 3600), default=36.0, show_default=True, help="Driving time in seconds."
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("demo"),
     show_default=True,
-    help="Folder for log, pictures and configuration; an earlier demo's is cleared.",
+    help="Folder for log, pictures and configuration. The files of an earlier demo are deleted.",
 )
 @click.option("--robots", type=click.IntRange(1, 4), default=1, show_default=True, help="Number of rovers.")
-@click.option("--seed", type=click.IntRange(0, 2**31), default=1, show_default=True, help="Of ground and noise.")
+@click.option(
+    "--seed", type=click.IntRange(0, 2**31), default=1, show_default=True, help="Random seed of ground and noise."
+)
 @json_option
 def demo(seconds: float, out: Path, robots: int, seed: int, as_json: bool) -> int:
     """roughmap demo
 
-    Start a service of its own (a free port on loopback), drive a simulated rover whose scans and poses go to it,
-    ask it for 20 x 20 m of ground again and again meanwhile, stop it, replay its log, and compare: the replayed map
-    with the served one, and the heights with the simulated truth. Ends with a table, the word `equal` and pictures;
-    exit 1 if anything differed.
+    Start a service on a free port of this machine, drive a simulated rover that sends it scans and poses, and query
+    20 x 20 m of its map five times a second. Then stop the service, replay its log, and compare the replayed map
+    with the served one, and the heights with the simulated ground.
+
+    The demo prints a table and a line that begins with `equal`, and draws the map. Exit code 1 if anything differs.
     """
     from roughmap_service.cli.demo.steps import run_demo
 
@@ -54,7 +59,7 @@ def demo(seconds: float, out: Path, robots: int, seed: int, as_json: bool) -> in
 
 
 class _Progress:
-    """On stderr: each step with the seconds since the start; a bar while it drives, where that is a terminal."""
+    """Prints each step with the seconds since the start to stderr; on a terminal, with a bar while the rover drives."""
 
     def __init__(self, seconds: float) -> None:
         from rich.console import Console
@@ -88,17 +93,17 @@ class _Progress:
 
 
 def _clear(out: Path) -> None:
-    """Make the folder; empty what an earlier demo left there and nothing else."""
+    """Make the folder, or delete the files of an earlier demo from it; BadUse if it holds other files."""
     try:
         if out.is_dir() and any(out.iterdir()) and not (out / CONFIG_NAME).is_file():
-            raise BadUse(f"{out} holds other files: choose another folder with --out")
+            raise BadUse(f"--out: {out} holds other files; name another folder")
         out.mkdir(parents=True, exist_ok=True)
         shutil.rmtree(out / "log", ignore_errors=True)
         for name in MADE:
             (out / name).unlink(missing_ok=True)
         (out / CONFIG_NAME).touch()
     except OSError as error:
-        raise BadUse(f"--out: {out} can't be written: {error.strerror}; name another folder with --out") from None
+        raise BadUse(f"--out: {out} is not writable: {error.strerror}; name another folder") from None
 
 
 def _table(outcome: "Outcome") -> None:
@@ -112,4 +117,4 @@ def _table(outcome: "Outcome") -> None:
         click.echo(f"differs: {difference}")
     click.echo(f"replay: {outcome.replay_line}" if outcome.differences else outcome.replay_line)
     click.echo("pictures: " + ", ".join(str(picture) for picture in outcome.pictures))
-    click.echo(f"log, for Foxglove or `roughmap replay`: {outcome.log_directory}")
+    click.echo(f"log (open with Foxglove or `roughmap replay`): {outcome.log_directory}")

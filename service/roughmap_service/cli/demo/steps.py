@@ -16,34 +16,35 @@ import numpy.typing as npt
 from roughmap_client import Region, RoughMapClient
 from roughmap_schemas.messages import MapStatus
 from roughmap_schemas.reasons import PointReason
-from roughmap_service.cli.demo.parts import QUERY_SIDE_M, Planner, RoverProcess, ServiceProcess, replay
+from roughmap_service.cli.demo.planner import QUERY_SIDE_M, Planner
+from roughmap_service.cli.demo.processes import RoverProcess, ServiceProcess, replay
 from roughmap_service.formats.pictures import draw
 from roughmap_service.simulation.rover import POSE_SIGMA, Rover, rovers, sensor_settings
 
 MAP = "demo"
 
 SETTLE_S = 20.0
-"""How long the last clouds may take to be decided after the rover stopped."""
+"""Seconds that the last clouds may take to be decided after the rover has stopped."""
 
 PICTURE_REACH_M = 26.0
-"""Half the side of what is drawn and compared, from the middle of the rover's path; it sees 25 m."""
+"""Half the side of the square that is drawn and compared, around the middle of the rover's path; it sees 25 m."""
 
 REPLAY_LINE = re.compile(r"equal: (\d+) checkpoints, sequence (\d+), digest ([0-9a-f]{32})")
 
 
 class Progress(Protocol):
-    """Who hears how the demo gets on."""
+    """Shows the progress of the demo."""
 
     def step(self, text: str) -> None:
-        """A step begins."""
+        """Show that a step begins."""
 
     def driven(self, seconds: float) -> None:
-        """The rover has driven so long."""
+        """Show for how many seconds the rover has driven."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the demo measured; `differences` is empty if all agreed."""
+    """What the demo measured; `differences` is empty if everything agreed."""
 
     seconds: float
     robots: int
@@ -75,7 +76,7 @@ class Outcome:
     log_directory: Path
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON: paths are texts, what could not be measured is None."""
+        """Return JSON values: paths as strings, None for what could not be measured."""
         made = asdict(self)
         made["pictures"] = [str(picture) for picture in self.pictures]
         made["log_directory"] = str(self.log_directory)
@@ -83,38 +84,38 @@ class Outcome:
         return made
 
     def rows(self) -> list[tuple[str, str]]:
-        """The table, line by line."""
+        """Return the table's rows: name and value."""
         rejected = f", {self.scans_rejected} rejected" if self.scans_rejected else ""
         lost = self.scans_published - self.scans_integrated - self.scans_rejected
-        dropped = f", {lost} dropped on the way" if lost else ""
-        slow = ["this machine was too slow for the rover's scans"] if self.health == "overloaded" else []
+        dropped = f", {lost} lost on the way" if lost else ""
+        slow = ["this machine is too slow for the rover's scans"] if self.health == "overloaded" else []
         side = 2 * PICTURE_REACH_M
         return [
             ("scans", f"{self.scans_integrated} of {self.scans_published} integrated{rejected}{dropped}"),
             ("points", f"{self.points:,} integrated, {self.points_rejected:,} rejected"),
-            ("no return", f"{self.points_no_return:,} beams met nothing within the scanner's range"),
+            ("no return", f"{self.points_no_return:,} beams hit nothing within the scanner's range"),
             ("rate", f"{self.points_per_s:,.0f} points/s over {self.driving_s:.1f} s of driving"),
-            ("scan to queryable", _told(("p50", self.lag_p50_s), ("p99", self.lag_p99_s), 1e3, "ms")),
+            ("scan to queryable", _figures(("p50", self.lag_p50_s), ("p99", self.lag_p99_s), 1e3, "ms")),
             (
                 f"query of {QUERY_SIDE_M:g} x {QUERY_SIDE_M:g} m",
-                f"{_told(('p50', self.query_p50_s), ('p99', self.query_p99_s), 1e3, 'ms')}; {self.queries} queries",
+                f"{_figures(('p50', self.query_p50_s), ('p99', self.query_p99_s), 1e3, 'ms')}; {self.queries} queries",
             ),
-            ("map", f"{self.known_cells:,} known cells in {side:g} x {side:g} m; {self.tiles} tiles in all"),
+            ("map", f"{self.known_cells:,} known cells in {side:g} x {side:g} m; {self.tiles} tiles"),
             (
                 "height error",
-                _told(("median", self.height_error_median_m), ("p95", self.height_error_p95_m), 100, "cm")
-                + ", to the simulated truth",
+                _figures(("median", self.height_error_median_m), ("p95", self.height_error_p95_m), 100, "cm")
+                + ", from the simulated ground",
             ),
-            ("service's memory", f"{self.memory_bytes / 2**20:.0f} MiB (RSS)"),
+            ("memory of the service", f"{self.memory_bytes / 2**20:.0f} MiB (RSS)"),
             ("log", f"{self.log_bytes / 1e6:.0f} MB"),
             ("replay", f"{self.replay_s:.1f} s"),
-            ("all of it", f"{self.wall_s:.0f} s"),
+            ("total time", f"{self.wall_s:.0f} s"),
             *(("health", text) for text in slow),
         ]
 
 
 def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int, progress: Progress) -> Outcome:
-    """Run it all in `out`, with the configuration written to `config`."""
+    """Run all steps in the folder `out`; the service's configuration goes to `config`."""
     begun = time.monotonic()
     log_directory = (out / "log").resolve()
     start_ns = time.time_ns()
@@ -122,21 +123,21 @@ def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int,
     config.write_text(toml(settings(fleet[0], log_directory)))
     with ExitStack() as stack:
         progress.step("starting the service")
-        told = partial(progress.step, "kernels are compiled, once: this takes a minute or more")
-        service = stack.enter_context(ServiceProcess(config, out / "serve.txt", told))
+        compiling = partial(progress.step, "compiling the kernels; the first start takes a minute or more")
+        service = stack.enter_context(ServiceProcess(config, out / "serve.txt", compiling))
         client = stack.enter_context(RoughMapClient(MAP, connect=service.endpoints, timeout=10.0))
-        progress.step(f"the service is ready at {service.endpoints[0]}; the rover drives for {seconds:g} s")
+        progress.step(f"service ready on {service.endpoints[0]}; driving for {seconds:g} s")
         driver = stack.enter_context(
             RoverProcess(service.endpoints, seconds, robots, seed, start_ns, out / "simulate.txt")
         )
         with Planner(client, fleet[0]) as planner:
             published = driver.wait(seconds + 60, progress.driven)
-        progress.step("driven; the service takes up the last scans and ends")
+        progress.step("stopping the service after the last scans")
         status = settled(client, published["clouds"])
         region = client.region(picture_box(), ["mean_height", "confidence_level", "traversability"])
         client.close()
         exit_code = service.stop()
-    progress.step("replaying its log")
+    progress.step("replaying the log")
     replay_begun = time.monotonic()
     replay_code, replay_line = replay(log_directory, out / "replay.txt")
     replay_s = time.monotonic() - replay_begun
@@ -184,7 +185,7 @@ def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int,
 
 
 def settings(rover: Rover, log_directory: Path) -> dict[str, dict[str, object]]:
-    """The service's configuration: a free port, no network beyond this machine, the rover's scanner."""
+    """Return the service's configuration: a free port on this machine only, and the rover's scanner."""
     return {
         "map": {"name": MAP},
         "zenoh": {"listen": ["tcp/127.0.0.1:0"], "scouting": False},
@@ -196,7 +197,7 @@ def settings(rover: Rover, log_directory: Path) -> dict[str, dict[str, object]]:
 
 
 def toml(tables: Mapping[str, Mapping[str, object]]) -> str:
-    """TOML for tables of texts, finite numbers, booleans and lists: these are written as in JSON."""
+    """Return TOML for tables of strings, finite numbers, booleans and lists, which TOML writes as JSON does."""
     return "\n".join(
         f"[{table}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in rows.items())
         for table, rows in tables.items()
@@ -204,12 +205,12 @@ def toml(tables: Mapping[str, Mapping[str, object]]) -> str:
 
 
 def picture_box() -> tuple[float, float, float, float]:
-    """What is asked for, drawn and compared, metres."""
+    """Return the box that is queried, drawn and compared, in metres."""
     return -PICTURE_REACH_M, -PICTURE_REACH_M, PICTURE_REACH_M, PICTURE_REACH_M
 
 
 def settled(client: RoughMapClient, published: int) -> MapStatus:
-    """The status once every published cloud is decided, or once nothing has moved for a second."""
+    """Return the status once every published cloud is decided, or once nothing has changed for a second."""
     deadline = time.monotonic() + SETTLE_S
     status, since = client.status(), time.monotonic()
     while time.monotonic() < deadline:
@@ -228,7 +229,7 @@ def settled(client: RoughMapClient, published: int) -> MapStatus:
 def height_error(
     rover: Rover, height: npt.NDArray[np.float64], origin: tuple[float, float], cell_size: float
 ) -> npt.NDArray[np.float64]:
-    """|mean height - true height at the cell's centre| of all known cells, metres."""
+    """Return |mean height - true height at the cell's centre| of all known cells, in metres."""
     rows, columns = np.nonzero(np.isfinite(height))
     x, y = origin[0] + (columns + 0.5) * cell_size, origin[1] + (rows + 0.5) * cell_size
     error: npt.NDArray[np.float64] = np.abs(height[rows, columns] - rover.ground.height(x, y))
@@ -238,7 +239,7 @@ def height_error(
 def differences(
     status: MapStatus, planner: Planner, exit_code: int, replay_code: int, replay_line: str, known: int
 ) -> list[str]:
-    """Everything that should agree and doesn't."""
+    """Return one sentence for each thing that should agree and does not."""
     found = []
     equal = REPLAY_LINE.fullmatch(replay_line)
     if exit_code != 0:
@@ -248,7 +249,7 @@ def differences(
     elif int(equal[2]) != status.sequence:
         found.append(f"the service was at sequence {status.sequence}, its replay at {equal[2]}")
     if status.health == "degraded":
-        found.append("the service's health is degraded: it could not write its log or its store")
+        found.append("the service's health was degraded: it could not write its log or its store")
     if not known:
         found.append("no cell is known")
     found += [f"a query failed: {error}" for error in planner.errors[:3]]
@@ -267,8 +268,8 @@ def _percentile(values: npt.ArrayLike, q: float) -> float | None:
     return float(np.percentile(array, q)) if array.size else None
 
 
-def _told(first: tuple[str, float | None], second: tuple[str, float | None], factor: float, unit: str) -> str:
-    """Two figures with their names, or that there are none."""
+def _figures(first: tuple[str, float | None], second: tuple[str, float | None], factor: float, unit: str) -> str:
+    """Format two figures with their names; None is unknown."""
     return ", ".join(
         f"{name} unknown" if value is None else f"{name} {value * factor:.1f} {unit}" for name, value in (first, second)
     )

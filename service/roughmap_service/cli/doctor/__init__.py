@@ -1,4 +1,4 @@
-"""`roughmap doctor`: what stands in the way of mapping, in plain words."""
+"""`roughmap doctor`: check configuration, machine, network and robots."""
 
 from roughmap_service.cli.doctor.command import doctor
 

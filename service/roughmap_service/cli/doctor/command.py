@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from roughmap_schemas.messages import MapStatus
 
 REACH_S = 2.0
-"""How long an endpoint may take to answer."""
+"""Seconds that an endpoint may take to answer."""
 
 STATUS_S = 10.0
-"""How long a service that is there may take to tell its status: the machine may be busy."""
+"""Seconds that a running service may take to send its status: the machine may be busy."""
 
 
 @click.command
@@ -30,16 +30,18 @@ STATUS_S = 10.0
     type=click.FloatRange(0, 600),
     default=5.0,
     show_default=True,
-    help="Listen for so long; 0: not at all.",
+    help="How long to listen to the robots, in seconds; 0: do not listen.",
 )
 @config_options
 @json_option
 def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, object], ...], as_json: bool) -> int:
-    """roughmap doctor -c roughmap.toml
+    """roughmap doctor
 
-    Check a configuration against this machine and what comes in: directories and room, memory, clock, ports,
-    certificates, who could get in, Zenoh peers, and what the robots publish: frames, rates, per-point times, poses and
-    their covariance. Listens beside the service if it is up, else in its place. Exit 1 if anything is wrong.
+    Check that mapping can work with this configuration: directories and disk space, memory, clock, ports,
+    certificates, exposure to the network, Zenoh peers, and what the robots publish (frames, rates, per-point times,
+    poses and their covariance). Prints each finding, and below it the remedy if something is wrong.
+
+    If the service is running, doctor listens beside it, else in its place. Exit code 1 if anything is wrong.
     """
     from roughmap_service.cli.doctor import machine as doctor_machine
     from roughmap_service.cli.doctor import security as doctor_security
@@ -53,8 +55,8 @@ def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, 
     findings += doctor_security.zenoh_access(loaded)
     findings += [found] if (found := doctor_security.http_access(config.http)) else []
     with ExitStack() as stack:
-        session, running, told = _session(loaded, stack)
-        findings += [doctor_machine.http_port(config, running=running), *told]
+        session, running, found_there = _session(loaded, stack)
+        findings += [doctor_machine.http_port(config, running=running), *found_there]
         if session is not None and seconds > 0:
             click.echo(f"listening for {seconds:g} s ...", err=True)
             findings += _traffic(session, loaded, seconds)
@@ -67,53 +69,53 @@ def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, 
 
 
 def _session(loaded: "LoadedConfig", stack: ExitStack) -> tuple["zenoh.Session | None", bool, list[Finding]]:
-    """A session that hears the robots: with the running service, else the one that the service would open."""
+    """Open a session with the running service, or the one that the service would open; tell whether it is running."""
     from roughmap_client import RoughMapClient
     from roughmap_client.errors import RoughMapError
     from roughmap_schemas.faults import ConfigFault
-    from roughmap_service.cli.connection import client_config, open_client, wants_certificate
+    from roughmap_service.cli.connection import client_config, lacks_certificate, open_client
     from roughmap_service.cli.health import served_map
     from roughmap_service.inputs.session import TransportError, open_session, zenoh_config
 
     config, bare = loaded.config, False
     try:
         asking = client_config(loaded, ())
-        bare = wants_certificate(asking)
+        bare = lacks_certificate(asking)
         session = stack.enter_context(open_client(asking, REACH_S))
         client = RoughMapClient(config.map.name, session=session, timeout=STATUS_S, keys=config.keys)
         status = client.status()
-        told = f"the service is up for {status.uptime_s:.0f} s, health {status.health}; doctor listens beside it"
-        verdict = Finding("zenoh", "ok" if status.health == "ok" else "wrong", told)
+        text = f"the service has been up for {status.uptime_s:.0f} s, health {status.health}; listening beside it"
+        verdict = Finding("zenoh", "ok" if status.health == "ok" else "wrong", text)
         return session, True, [verdict, *_refused(status), *_peers(loaded)]
     except (Failure, RoughMapError, ConfigFault) as error:
-        stack.close()  # nobody is there, or somebody else
+        stack.close()  # no service, or that of another map
         if config.http.listen is not None and served_map(config) == config.map.name:
-            told = f"the service is up, as http.listen says, but does not answer over Zenoh: {error}"
-            mend = "`roughmap health` says whether it still starts; if not, does it listen on this zenoh.listen?"
+            text = f"the service answers on http.listen, but not over Zenoh: {error}"
+            remedy = "`roughmap health` says whether it is still starting; if not, check zenoh.listen"
             if bare:
-                told = "the service is up; doctor has no certificate to join it and to hear the robots"
-                mend = "`roughmap top --zenoh FILE` with a planner's certificate shows what comes in (SECURITY.md)"
-            return None, True, [Finding("zenoh", "note", told, mend)]
+                text = "the service is up; doctor has no certificate to connect to it and to receive what robots send"
+                remedy = "`roughmap top --zenoh FILE` with a planner's certificate shows what comes in (SECURITY.md)"
+            return None, True, [Finding("zenoh", "note", text, remedy)]
     try:
         session = stack.enter_context(open_session(zenoh_config(loaded)))
     except (TransportError, ConfigFault) as error:
-        return None, False, [Finding("zenoh", "wrong", str(error), "stop what listens there, or set zenoh.listen")]
+        return None, False, [Finding("zenoh", "wrong", str(error), "stop the other program, or change zenoh.listen")]
     where = ", ".join(endpoint.partition("#")[0] for endpoint in config.zenoh.listen) or "nowhere"
-    told = f"no service is up; doctor listens in its place on {where}"
-    return session, False, [Finding("zenoh", "ok", told), *_peers(loaded)]
+    text = f"no service is running; listening in its place on {where}"
+    return session, False, [Finding("zenoh", "ok", text), *_peers(loaded)]
 
 
 def _refused(status: "MapStatus") -> list[Finding]:
-    """What the running service did not take."""
+    """Return a note if the running service refused messages."""
     if not status.refused:
         return []
     reasons = ", ".join(f"{reason} {number}" for reason, number in status.refused.items())
-    told = f"the service refused {sum(status.refused.values())} messages since its start: {reasons}"
-    return [Finding("robots", "note", told, "its log lines `refused` name the robot and the cause")]
+    text = f"the service has refused {sum(status.refused.values())} messages since its start: {reasons}"
+    return [Finding("robots", "note", text, "its log lines with the event `refused` name the robot and the cause")]
 
 
 def _peers(loaded: "LoadedConfig") -> list[Finding]:
-    """Each endpoint that the service is to connect to, asked by itself."""
+    """Connect to each endpoint of zenoh.connect by itself."""
     from roughmap_service.cli.connection import client_config, open_client
 
     findings = []
@@ -123,11 +125,11 @@ def _peers(loaded: "LoadedConfig") -> list[Finding]:
         try:
             open_client(client_config(loaded, [endpoint]), REACH_S).close()
         except Failure:
-            mend = "is the router up, the address right, the way open (firewall), and do certificates fit?"
-            findings.append(Finding("zenoh", "wrong", f"zenoh.connect: {shown} can't be reached", mend))
+            remedy = "check that the router is up, the address, the firewall and the certificates"
+            findings.append(Finding("zenoh", "wrong", f"zenoh.connect: {shown} is not reachable", remedy))
         else:
-            told = f"zenoh.connect: {shown} answers, {(time.monotonic() - begun) * 1e3:.0f} ms"
-            findings.append(Finding("zenoh", "ok", told))
+            text = f"zenoh.connect: {shown} answered in {(time.monotonic() - begun) * 1e3:.0f} ms"
+            findings.append(Finding("zenoh", "ok", text))
     return findings
 
 
@@ -144,6 +146,6 @@ def _traffic(session: "zenoh.Session", loaded: "LoadedConfig", seconds: float) -
     findings = judge(traffic, config, seconds)
     stepped = (time.time() - wall) - (time.monotonic() - monotonic)
     if abs(stepped) > 0.1:  # slewing stays far below a millisecond a second
-        told = f"this machine's clock was set by {stepped:+.2f} s while doctor listened"
-        findings.append(Finding("clock", "wrong", told, "let one program alone set it, by slewing"))
+        text = f"this machine's clock jumped by {stepped:+.2f} s while doctor listened"
+        findings.append(Finding("clock", "wrong", text, "let a single program set it, by slewing"))
     return findings

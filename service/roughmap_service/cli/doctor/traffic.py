@@ -1,4 +1,4 @@
-"""What robots publish while `roughmap doctor` listens: counted, measured, and not kept."""
+"""Counts and measures what robots publish while `roughmap doctor` listens."""
 
 import threading
 import time
@@ -19,13 +19,16 @@ MAX_KEPT = 20_000
 """Stamps kept of one robot's poses or clouds."""
 
 MAX_FRAMES = 64
-"""Frames told apart of one robot."""
+"""Frames counted separately for one robot."""
 
 
 @dataclass
 class Stream:
-    """One kind of messages of one robot. ``times`` holds (arrival on the monotonic clock in s, first and last stamp in
-    ns, how far the last stamp lies behind this machine's clock in s)."""
+    """One robot's messages of one kind.
+
+    ``times`` holds (arrival on the monotonic clock in s, first and last stamp in ns, by how much the last stamp is
+    behind this machine's clock in s).
+    """
 
     number: int = 0
     faults: Counter[str] = field(default_factory=Counter)
@@ -34,20 +37,20 @@ class Stream:
 
     @property
     def rate(self) -> float:
-        """Messages a second, between the first and the last."""
+        """Messages per second, between the first and the last."""
         if len(self.times) < 2:
             return 0.0
         return (len(self.times) - 1) / max(self.times[-1][0] - self.times[0][0], 1e-9)
 
     @property
     def behind(self) -> float:
-        """Seconds by which stamps lie behind this machine's clock, in the middle."""
+        """Seconds by which the stamps are behind this machine's clock (median)."""
         return float(np.median([behind for *_, behind in self.times])) if self.times else 0.0
 
 
 @dataclass
 class Heard:
-    """What came from one robot."""
+    """What one robot published."""
 
     clouds: Stream = field(default_factory=Stream)
     poses: Stream = field(default_factory=Stream)
@@ -63,7 +66,7 @@ class Heard:
 
 
 class Traffic:
-    """Listens while it is told to; `robots` is what came, by name."""
+    """Collects what robots publish, in `robots` by name."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -72,7 +75,7 @@ class Traffic:
         self.ended = 0.0
 
     def listen(self, session: zenoh.Session, keys: Keys, seconds: float) -> None:
-        """Take up what is published for so long."""
+        """Collect what is published within ``seconds``."""
         subscribers = []
         for kind, key, parse in (
             (Kind.POINTS, keys.points_any, keys.parse_points),
@@ -84,7 +87,7 @@ class Traffic:
                 try:
                     robot = parse(str(sample.key_expr))  # type: ignore[operator]
                 except MessageFault:
-                    return  # a key that no robot has
+                    return  # not a robot's key
                 attachment = sample.attachment
                 numbered = attachment is not None and len(attachment) == 8
                 self.take(kind, robot, sample.payload.to_bytes(), str(sample.encoding), numbered=numbered)
@@ -96,7 +99,7 @@ class Traffic:
         self.ended = time.monotonic()
 
     def take(self, kind: Kind, robot: str, payload: bytes, encoding: str, *, numbered: bool) -> None:
-        """One message, as it comes in."""
+        """Count one message."""
         arrival, now_ns = time.monotonic(), time.time_ns()
         with self._lock:
             if robot not in self.robots and len(self.robots) >= self._settings.max_robots:
@@ -133,9 +136,9 @@ class Traffic:
 
 
 def pose_waits(heard: Heard, ended: float) -> tuple[list[float], int]:
-    """For each cloud, how many seconds after it the pose came that closes its span; and for how many none came.
+    """Return for each cloud how many seconds later the pose arrived that covers its end, and how many had none.
 
-    Clouds that came so late that a pose could not have followed are left out: ``ended`` is when listening ended.
+    A cloud that arrived less than 1 s before ``ended``, the end of listening, does not count as one without a pose.
     """
     covered: list[tuple[float, int]] = []  # arrivals at which the newest stamp rose
     for arrival, _, stamp, _ in heard.poses.times:
@@ -153,6 +156,6 @@ def pose_waits(heard: Heard, ended: float) -> tuple[list[float], int]:
 
 
 def largest_gap(stream: Stream) -> float:
-    """The longest stretch between two neighbouring stamps, in s."""
+    """Return the largest difference of two neighbouring stamps, in s."""
     stamps = np.unique(np.array([last for _, _, last, _ in stream.times], np.int64))
     return float(np.diff(stamps).max()) / 1e9 if len(stamps) > 1 else 0.0

@@ -1,4 +1,4 @@
-"""What the running service shows of itself: whether it is ready, its metrics, and what it did, when it ends."""
+"""The parts of the running service: their problems, their figures for the pages, and a summary when they end."""
 
 import logging
 from collections.abc import Callable
@@ -17,12 +17,12 @@ from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.snapshots import Snapshots
 from roughmap_service.watch.readiness import Problem, Sources, running_problems
 
-log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 
 @dataclass
-class Parts:
-    """The parts of a running service that are looked at."""
+class RunningParts:
+    """The parts of a running service that are watched."""
 
     sequencer: Sequencer
     writer: LogWriter
@@ -33,7 +33,7 @@ class Parts:
     _stalled: bool = False
 
     def problems(self) -> dict[Problem, str]:
-        """What is wrong now."""
+        """Return the present problems, each with its cause."""
         return running_problems(
             alive=self.sequencer.alive, turned=self.sequencer.turned, failure=self.sequencer.failure,
             log_ok=self.writer.ok, log_error=self.writer.error, memory_ok=self.memory.ok,
@@ -41,44 +41,50 @@ class Parts:
         )  # fmt: skip
 
     def watch(self) -> None:
-        """Look for what hangs, and tell of it when it begins and when it goes on; call it now and then, from a thread
-        that waits for no disk."""
+        """Check for parts that hang, and log when a stall begins and ends. Call it regularly from a thread that waits
+        for no disk: a thread that hangs cannot report it."""
         self.writer.look()
         self.snapshots.look()
         why = self.problems().get(Problem.SEQUENCER_STALLED, "")
         if why and not self._stalled:
-            note(log, logging.ERROR, "stalled", why, always=True)
+            note(logger, logging.ERROR, "stalled", why, always=True)
         elif self._stalled and not why:
-            note(log, logging.WARNING, "stall_ended", "the sequencer goes on", always=True)
+            note(logger, logging.WARNING, "stall_ended", "the sequencer works again", always=True)
         self._stalled = bool(why)
 
     def end(self, sources: Sources) -> None:
-        """Say that it shuts down, and what it did since its start."""
+        """Report the shutdown to the pages, and log what was integrated since the start."""
         sources.readiness.end()
         counts, sequence = self.counters.snapshot(), self.sequencer.live.run.map.sequence
         clouds, points = counts.clouds_accepted, counts.points_accepted
-        text = f"shutting down; {clouds} clouds with {points} points were integrated since the start"
+        text = f"shutting down; integrated {clouds} clouds with {points} points since the start"
         note(
-            log, logging.INFO, "shutdown", text, clouds=clouds, points=points, poses=counts.poses_accepted,
+            logger, logging.INFO, "shutdown", text, clouds=clouds, points=points, poses=counts.poses_accepted,
             clouds_rejected=counts.clouds_rejected, refused=counts.refused, sequence=sequence,
         )  # fmt: skip
 
 
-def show(parts: Parts, answers: Answers, sources: Sources, status: Callable[[], MapStatus], config: Config) -> None:
-    """From now on the pages show these parts."""
+def connect_pages(
+    parts: RunningParts, answers: Answers, sources: Sources, status: Callable[[], MapStatus], config: Config
+) -> None:
+    """Make the pages show these parts."""
     sources.readiness.become(parts.problems)
     if sources.url is None:
         return
-    from roughmap_service.watch.metrics import Depths, Disk, Metrics  # noqa: PLC0415 - with the pages only
+    from roughmap_service.watch.metrics import Disk, Metrics, PartFigures  # noqa: PLC0415 - needed with pages only
 
-    def depths() -> Depths:
-        return Depths(
-            intake_bytes=parts.queue.held, inbox_bytes=parts.sequencer.live.run.inbox.size, log_bytes=parts.writer.held,
-            queries_waiting=answers.waiting, snapshot_sequence=parts.snapshots.sequence,
-            snapshot_ok=not parts.snapshots.error, memory_taken=parts.memory.taken,
-        )  # fmt: skip
+    def figures() -> PartFigures:
+        return PartFigures(
+            input_queue_bytes=parts.queue.held,
+            inbox_bytes=parts.sequencer.live.run.inbox.size,
+            log_bytes=parts.writer.held,
+            queries_waiting=answers.waiting,
+            snapshot_sequence=parts.snapshots.sequence,
+            snapshot_ok=not parts.snapshots.error,
+            memory_counted=parts.memory.taken,
+        )
 
     store = None if config.store.path is None else Path(config.store.path)
     disk = Disk(Path(config.log.directory), store, parts.memory.spill.path)
-    metrics = Metrics(status, parts.counters, depths, sources.readiness.problems, disk, config.map.memory_limit)
+    metrics = Metrics(status, parts.counters, figures, sources.readiness.problems, disk, config.map.memory_limit)
     sources.status, sources.metrics = status, metrics.text

@@ -3,14 +3,14 @@
 import numpy as np
 
 from roughmap import RoughMap
-from roughmap_service.answers.emptied import Emptied
+from roughmap_service.answers.reset_history import ResetHistory
 
 NOTHING = np.empty((0, 2), np.int32)
 
 
-def emptied(limit: int, *rounds: list[int]) -> Emptied:
+def emptied(limit: int, *rounds: list[int]) -> ResetHistory:
     """A map of point tiles (x, 0), filled and reset once for each round."""
-    rough_map, known = RoughMap(error_model="point", threads=1), Emptied(limit)
+    rough_map, known = RoughMap(error_model="point", threads=1), ResetHistory(limit)
     for tiles in rounds:
         rough_map.add([[6.4 * x + 1.0, 1.0, 0.0] for x in tiles])
         known.note(rough_map)

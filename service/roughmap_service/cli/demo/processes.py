@@ -1,4 +1,4 @@
-"""The processes and the thread of the demo: the service, the rover, the planner, the replay."""
+"""The processes of the demo: service, rover and replay."""
 
 import contextlib
 import json
@@ -13,39 +13,30 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self
 
-import numpy as np
-
-from roughmap_client import RoughMapClient
-from roughmap_client.errors import RoughMapError
 from roughmap_service.cli.options import Failure
-from roughmap_service.simulation.rover import Rover
 
 READY_S = 900.0
-"""A first start compiles all kernels on what may be a slow and busy machine."""
+"""Seconds: a first start compiles all kernels, perhaps on a slow and busy machine."""
 
 COMPILING = '"event": "compiling"'
-"""By this the service's log says why its start takes long."""
+"""In the service's log lines while it compiles its kernels."""
 
 STOP_S = 30.0
 REPLAY_S = 600.0
 
-QUERY_HZ = 5.0
-QUERY_SIDE_M = 20.0
-QUERY_LAYERS = ["mean_height", "slope", "step_height", "traversability"]
-
 
 def command(*arguments: str) -> list[str]:
-    """A `roughmap` command line, run by this Python, whatever the PATH holds."""
+    """Return a `roughmap` command line that this Python runs, whatever is in PATH."""
     return [sys.executable, "-m", "roughmap_service.cli.main", *arguments]
 
 
 def environment() -> dict[str, str]:
-    """This environment without settings that would reach into the demo's service."""
+    """Return this environment without ROUGHMAP_ variables, which would change the demo's service."""
     return {name: value for name, value in os.environ.items() if not name.startswith("ROUGHMAP_")}
 
 
 class _Process:
-    """A child whose standard error goes to a file; killed if it is still there at the end."""
+    """A child process whose stderr goes to a file; terminated at the end if it still runs."""
 
     def __init__(self, arguments: list[str], errors: Path) -> None:
         self._errors = errors
@@ -75,13 +66,13 @@ class _Process:
         self.stdout.close()
 
     def last_words(self) -> str:
-        """The last line of standard error: the cause, as our commands print it."""
+        """Return the last line of stderr, where roughmap commands print the cause."""
         lines = self._errors.read_text(errors="replace").strip().splitlines()
         return lines[-1] if lines else f"no message, see {self._errors}"
 
 
 class ServiceProcess(_Process):
-    """`roughmap serve` until it is ready; `endpoints` is where it listens. ``compiling`` is called if it compiles."""
+    """A `roughmap serve` that is ready and listens on `endpoints`; ``compiling`` is called if it compiles kernels."""
 
     def __init__(self, config: Path, errors: Path, compiling: Callable[[], None] = lambda: None) -> None:
         super().__init__(command("serve", "-c", str(config)), errors)
@@ -95,7 +86,7 @@ class ServiceProcess(_Process):
             line = self._ready_line(lines)
             if not line:
                 self.process.wait(STOP_S)
-                raise Failure(f"the service ended before it was ready: {self.last_words()}")
+                raise Failure(f"the service stopped before it was ready: {self.last_words()}")
             self.endpoints = json.loads(line)["endpoints"]
         except BaseException:
             self.__exit__(None, None, None)
@@ -103,29 +94,29 @@ class ServiceProcess(_Process):
         return self
 
     def _ready_line(self, lines: "queue.Queue[str]") -> str:
-        until, told = time.monotonic() + READY_S, False
+        until, reported = time.monotonic() + READY_S, False
         while time.monotonic() < until:
             with contextlib.suppress(queue.Empty):
                 return lines.get(timeout=1.0)
-            if not told and COMPILING in self._errors.read_text(errors="replace"):
-                told = True
+            if not reported and COMPILING in self._errors.read_text(errors="replace"):
+                reported = True
                 self._compiling()
         last = self.last_words()
         raise Failure(
-            f"the service was not ready within {READY_S:g} s; run it again: what was compiled is kept ({last})"
+            f"the service was not ready within {READY_S:g} s; try again, since compiled kernels are kept ({last})"
         )
 
     def stop(self) -> int:
-        """SIGTERM; returns the exit code."""
+        """Send SIGTERM; return the exit code."""
         self.process.terminate()
         try:
             return self.process.wait(STOP_S)
         except subprocess.TimeoutExpired:
-            raise Failure(f"the service did not end within {STOP_S:g} s of SIGTERM") from None
+            raise Failure(f"the service did not stop within {STOP_S:g} s of SIGTERM") from None
 
 
 class RoverProcess(_Process):
-    """`roughmap simulate`, at real time."""
+    """A `roughmap simulate` in real time."""
 
     def __init__(
         self, endpoints: list[str], seconds: float, robots: int, seed: int, start_ns: int, errors: Path
@@ -136,7 +127,7 @@ class RoverProcess(_Process):
         super().__init__(command("simulate", *connect, *drive, "--json"), errors)
 
     def wait(self, seconds: float, driven: Callable[[float], None]) -> dict[str, Any]:
-        """What was published, in how many seconds; `driven` hears now and then for how long the rover has driven."""
+        """Wait for the end; return what was published. `driven` is called with the seconds driven so far."""
         begun = time.monotonic()
         while True:
             try:
@@ -153,58 +144,8 @@ class RoverProcess(_Process):
         return counts
 
 
-class Planner:
-    """Asks for the ground around the rover while it drives, in a thread; a context manager."""
-
-    def __init__(self, client: RoughMapClient, rover: Rover) -> None:
-        self.latencies: list[float] = []
-        self.errors: list[str] = []
-        self.worst_lag: tuple[float, float] | None = None
-        """Arrival to queryable, p50 and p99, as the service said them at its worst; None before it said any."""
-        self._client = client
-        self._rover = rover
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="planner")
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stop.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        count = 0
-        begun: float | None = None
-        while not self._stop.wait(1 / QUERY_HZ):
-            elapsed = 0.0 if begun is None else time.monotonic() - begun
-            x, y = self._rover.pose(np.array([self._rover.start_ns + round(elapsed * 1e9)])).position[0, :2]
-            half = QUERY_SIDE_M / 2
-            try:
-                asked = time.perf_counter()
-                region = self._client.region((x - half, y - half, x + half, y + half), QUERY_LAYERS)
-                answered = time.perf_counter()
-                if region.sequence == 0:
-                    continue  # nothing has been scanned yet: an answer without work would flatter the figures
-                self.latencies.append(answered - asked)
-                begun = time.monotonic() if begun is None else begun
-                count += 1
-                if count % int(QUERY_HZ) == 0:
-                    self._note_lag()
-            except RoughMapError as error:
-                self.errors.append(f"{type(error).__name__}: {error}")
-
-    def _note_lag(self) -> None:
-        lag = self._client.status().lag_s
-        if lag.p99 is not None and lag.p50 is not None and (self.worst_lag is None or lag.p99 > self.worst_lag[1]):
-            self.worst_lag = (lag.p50, lag.p99)
-
-
 def replay(log_directory: Path, errors: Path) -> tuple[int, str]:
-    """`roughmap replay`: exit code and last line."""
+    """Run `roughmap replay`; return its exit code and last line."""
     with errors.open("w") as stream, contextlib.suppress(subprocess.TimeoutExpired):
         done = subprocess.run(  # noqa: S603  # nosec B603  # our own command line
             command("replay", str(log_directory)),
@@ -217,4 +158,4 @@ def replay(log_directory: Path, errors: Path) -> tuple[int, str]:
         )
         lines = done.stdout.strip().splitlines() or errors.read_text(errors="replace").strip().splitlines()
         return done.returncode, lines[-1] if lines else "no output"
-    return 1, f"no answer within {REPLAY_S:g} s"
+    return 1, f"not finished within {REPLAY_S:g} s"
