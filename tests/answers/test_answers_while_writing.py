@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from asking_raw import RawTile, get
-from net import WAIT_S
+from net import WAIT_S, Gathered
 from served import T0, Served
 
 from roughmap import RoughMap
@@ -29,19 +29,20 @@ def scattered(rng: np.random.Generator) -> np.ndarray:
 
 
 @contextmanager
-def writing(served: Served, scan: Callable[[np.random.Generator], np.ndarray]) -> Iterator[None]:
-    """Scan after scan, as fast as they are taken."""
+def writing(served: Served, scan: Callable[[np.random.Generator], np.ndarray]) -> Iterator[Gathered[int]]:
+    """Scan after scan, as fast as they are taken; the sequences that they make."""
     stop = threading.Event()
+    written: Gathered[int] = Gathered()
 
     def write() -> None:
         rng = np.random.default_rng(2)
         while not stop.is_set():
-            served.add(scan(rng))
+            written(served.add(scan(rng)))
 
     thread = threading.Thread(target=write)
     thread.start()
     try:
-        yield
+        yield written
     finally:
         stop.set()
         thread.join(WAIT_S)
@@ -50,8 +51,14 @@ def writing(served: Served, scan: Callable[[np.random.Generator], np.ndarray]) -
 
 @pytest.fixture(scope="module")
 def served() -> Iterator[Served]:
-    with Served(settings=POINT) as served, writing(served, scattered):
+    with Served(settings=POINT) as served:
         yield served
+
+
+@pytest.fixture(scope="module")
+def written(served: Served) -> Iterator[Gathered[int]]:
+    with writing(served, scattered) as written:
+        yield written
 
 
 def points(sequence: int) -> int:
@@ -63,7 +70,7 @@ def count(tiles: list[RawTile]) -> int:
     return int(sum(tile.layers()["count"].sum() for tile in tiles))
 
 
-def test_tiles_of_all_levels_are_of_one_sequence(served: Served) -> None:
+def test_tiles_of_all_levels_are_of_one_sequence(served: Served, written: Gathered[int]) -> None:
     seen = []
     for _ in range(25):
         tiles = list(get(served.asker, "maps/site/tiles/*/*/*?layers=count;dtype=f8").tiles().values())
@@ -76,10 +83,11 @@ def test_tiles_of_all_levels_are_of_one_sequence(served: Served) -> None:
             # Every scan reaches over the whole ground, and so some tile is as new as the map.
             assert max(tile.info["sequence"] for tile in of_level) == sequence
         seen.append(sequence)
-    assert seen == sorted(seen)
-    assert seen[-1] > seen[0], "the writer wrote meanwhile"
+        written.wait(lambda sequences, after=sequence: sequences[-1] > after, "the next scan")
+    assert seen == sorted(set(seen)), "each answer is newer than the one before"
 
 
+@pytest.mark.usefixtures("written")
 @pytest.mark.parametrize("level", [0, 2])
 def test_regions_are_of_one_sequence(served: Served, level: int) -> None:
     for _ in range(6):

@@ -30,7 +30,7 @@ def test_a_job_that_fails_does_not_take_its_thread_along(caplog: pytest.LogCaptu
 def test_the_end_waits_for_a_stuck_job_once_and_in_bounded_time() -> None:
     """A reader that stalls holds its thread; closing again, as the stack of contexts does, adds no second wait."""
     entered, leave = threading.Event(), threading.Event()
-    queue = AnswerQueue("t", 1, 10, 100)
+    queue = AnswerQueue("stuck", 1, 10, 100)
     with queue:
 
         def stuck() -> None:
@@ -40,14 +40,14 @@ def test_the_end_waits_for_a_stuck_job_once_and_in_bounded_time() -> None:
         queue.submit(1, stuck, never)
         wait_for(entered, "the job")
         queue.close(timeout=0.05)
-        assert queue._end < float("inf")
-        end = queue._end
-        queue.close(timeout=WAIT_S)
-        assert queue._end == end
-    assert [thread.is_alive() for thread in queue._threads] == [True]
+        again = threading.Thread(target=queue.close, args=(WAIT_S,), daemon=True)
+        again.start()
+        again.join(WAIT_S / 3)
+        assert not again.is_alive(), "the second call waited as well"
+    (worker,) = [thread for thread in threading.enumerate() if thread.name == "stuck-0"]
     leave.set()
-    queue._threads[0].join(WAIT_S)
-    assert not queue._threads[0].is_alive()
+    worker.join(WAIT_S)
+    assert not worker.is_alive()
 
 
 def test_the_end_does_not_wait_for_askers_that_stall_when_they_are_refused() -> None:
