@@ -12,7 +12,7 @@ import pytest
 import zenoh
 from live_service import live_service
 from net import peer_config
-from operate_pages import address, pages
+from http_tools import address, pages
 
 from roughmap_schemas import encode_cloud, encode_odometry, encode_transform
 from roughmap_schemas.config import Config

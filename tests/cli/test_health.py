@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from net import locators
-from operate_pages import pages
+from http_tools import pages
 from served import Served
 
 from roughmap_schemas.messages import LogState

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 import yaml
 from net import WAIT_S
-from operate_pages import address, get, pages, wait_until
+from http_tools import address, get, pages, wait_until
 from served import Served
 
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, QueryCode, Refusal
