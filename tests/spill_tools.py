@@ -1,9 +1,5 @@
 """A map whose tiles leave memory for a file, and what is seen of it."""
 
-import errno
-import os
-from collections.abc import Sequence
-
 import numpy as np
 
 from roughmap import RoughMap
@@ -56,16 +52,3 @@ def tiles_of(rough_map: RoughMap, level: int = 0) -> dict[tuple[int, int], tuple
             (x, y): (frozen.records(x, y).tobytes(), int(sequence), frozen.stamps(x, y))
             for (x, y), sequence in zip(frozen.tiles.tolist(), frozen.sequences, strict=True)
         }
-
-
-class Disk:
-    """A disk that is full when it is told so."""
-
-    def __init__(self) -> None:
-        self.left = 10**9
-
-    def write(self, file: int, parts: Sequence[memoryview], offset: int) -> int:
-        if self.left <= 0:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        self.left -= 1
-        return os.pwritev(file, parts, offset)

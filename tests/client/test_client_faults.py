@@ -260,7 +260,7 @@ def test_a_service_that_stays_busy_is_told_at_the_end(pair: Pair) -> None:
         lambda c: c.ingest(b"", "*"),
         lambda c: c.ingest(b"", "mule", kind="clouds"),
         lambda _: RoughMapClient("a map"),
-        lambda c: RoughMapClient("site", session=c._session, keys={"tile": "t/{z}/{x}/{y}"}),
+        lambda _: RoughMapClient("site", keys={"tile": "t/{z}/{x}/{y}"}),
     ],
 )
 def test_what_no_service_could_be_asked(client: RoughMapClient, ask: Ask) -> None:

@@ -2,26 +2,23 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from disks import FailingDisk
 from net import Gathered, wait_for
+from sequencers import ample_memory, sequencer_of
 from service_tools import T0, WAIT_S, LoggedRun, cloud, config, odometry
-from test_log_disk import Disk
 
 from roughmap_schemas import Event, IntegrationEvent, decode_event
 from roughmap_schemas.kinds import Kind
 from roughmap_service.engine.live_run import LiveRun
-from roughmap_service.engine.sequencer import Intervals, Sequencer
 from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.queue import TURN_MESSAGES, InputMessage, InputQueue
 from roughmap_service.journal import writer as log_writer
 from roughmap_service.journal.items import Sync
 from roughmap_service.journal.recorder import Recorder
-from roughmap_service.store.memory_limit import MemoryLimit
-from roughmap_service.store.spill import Spill
 
 
 class Spied(Recorder):
@@ -34,17 +31,10 @@ class Spied(Recorder):
         self._tell()
 
 
-@contextmanager
-def memory(folder: Path) -> Iterator[MemoryLimit]:
-    """As much as one likes."""
-    with Spill(folder / "tiles.spill", 1 << 30) as spill:
-        yield MemoryLimit(1 << 40, spill)
-
-
 def test_an_event_is_on_its_way_to_the_log_before_anyone_can_see_what_it_did(tmp_path: Path) -> None:
     """It is queued while the map is still held, and published when it no longer is."""
     told: list[tuple[str, bool]] = []
-    with LoggedRun(tmp_path / "log") as run, memory(tmp_path) as enough:
+    with LoggedRun(tmp_path / "log") as run, ample_memory(tmp_path) as enough:
         run.put(Kind.POINTS, cloud(1.0, frame="map"))
         held = Spied(lambda: told.append(("log", run.view._lock.locked())))
         live = LiveRun(
@@ -58,7 +48,7 @@ def test_an_event_is_on_its_way_to_the_log_before_anyone_can_see_what_it_did(tmp
 def test_nothing_is_decided_while_the_log_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What could be placed and what only has to end wait for the log, and come out as they would have."""
     monkeypatch.setattr(log_writer, "RETRY_SECONDS", 0.001)
-    disk = Disk()
+    disk = FailingDisk()
     with LoggedRun(tmp_path / "log", open_file=disk.open) as run:
         run.put(Kind.POINTS, cloud(1.0, frame="map"))
         run.put(Kind.POINTS, cloud(2.0), "blind")
@@ -83,7 +73,7 @@ def test_no_wait_ends_before_all_that_came_in_it_is_taken_up(tmp_path: Path) -> 
     decided: Gathered[IntegrationEvent] = Gathered()
     intake, counters = InputQueue(1 << 20, Counters()), Counters()
     patience = 1e-4  # which is over before the first turn is
-    with LoggedRun(tmp_path / "log", config(input={"max_wait": patience})) as run, memory(tmp_path) as enough:
+    with LoggedRun(tmp_path / "log", config(input={"max_wait": patience})) as run, ample_memory(tmp_path) as enough:
 
         def hear(payload: bytes) -> None:
             event = decode_event(payload)
@@ -91,10 +81,7 @@ def test_no_wait_ends_before_all_that_came_in_it_is_taken_up(tmp_path: Path) -> 
                 decided(event)
 
         live = LiveRun(run.run, run.view, run.writer, run.recorder, counters, enough, hear)
-        sequencer = Sequencer(
-            live, intake, run.writer, enough, Intervals(3600.0, 3600.0), take_snapshot=lambda: None,
-            before_reset=lambda _: None,
-        )  # fmt: skip
+        sequencer = sequencer_of(live, intake, run.writer, enough)
         arrival = time.monotonic()
         messages = [(Kind.POINTS, cloud(10.0))]
         messages += [(Kind.ODOMETRY, odometry(9.0 + k * 1e-3)) for k in range(TURN_MESSAGES)]

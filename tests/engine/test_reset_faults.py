@@ -1,14 +1,14 @@
 """A reset while the disk fails: it comes first when the disk is back, and holds nobody up until then."""
 
-import errno
-import io
 import threading
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import pytest
+from disks import FailingDisk
 from net import WAIT_S, open_pair, wait_for
+from sequencers import ample_memory, sequencer_of
 from service_tools import LoggedRun, cloud, config, events_of, read_back
 
 from roughmap import RoughMap
@@ -17,50 +17,27 @@ from roughmap_client.session import ask
 from roughmap_schemas import MessageFault, Receipt, ResetEvent
 from roughmap_schemas.encodings import POINT_CLOUD
 from roughmap_service.engine.recovery import recover
-from roughmap_service.engine.sequencer import Intervals, NotFollowed, Sequencer
+from roughmap_service.engine.sequencer import NotFollowed
 from roughmap_service.host.counters import Counters
 from roughmap_service.host.ending import ShuttingDown
 from roughmap_service.inputs.queue import InputQueue
 from roughmap_service.inputs.receipts import ReceiptSender
 from roughmap_service.inputs.subscriptions import ZenohInputs
-from roughmap_service.store.memory_limit import MemoryLimit
-from roughmap_service.store.spill import Spill
 
 
-class Disk:
-    """Its files take nothing while it is ``full``; ``failed`` is set when one did not."""
-
-    def __init__(self) -> None:
-        self.full = False
-        self.failed = threading.Event()
-
-    def open(self, path: Path) -> Any:
-        disk = self
-
-        class File(io.FileIO):
-            def write(self, data: Any) -> int:
-                if disk.full:
-                    disk.failed.set()
-                    raise OSError(errno.ENOSPC, "No space left on device", str(path))
-                return super().write(data)
-
-        return io.BufferedWriter(File(path, "xb"))
-
-
-class Service:
+class ResettableRun:
     """A sequencer between real requests and a log on a disk that may fail; its map holds one scan."""
 
-    def __init__(self, directory: Path, stack: ExitStack) -> None:
-        self.disk = Disk()
+    def __init__(
+        self, directory: Path, stack: ExitStack, before_reset: Callable[[RoughMap], None] = lambda _: None
+    ) -> None:
+        self.disk = FailingDisk()
         server, self.client = stack.enter_context(open_pair())
         self.run = stack.enter_context(LoggedRun(directory, open_file=self.disk.open))
         self.run.scan(0.0)
         counters, intake = Counters(), InputQueue(1 << 20, Counters())
-        spill = stack.enter_context(Spill(directory / "tiles.spill", 1 << 30))
-        self.sequencer = Sequencer(
-            self.run.live, intake, self.run.writer, MemoryLimit(1 << 40, spill), Intervals(3600.0, 3600.0),
-            take_snapshot=lambda: None, before_reset=lambda _: None,
-        )  # fmt: skip
+        memory = stack.enter_context(ample_memory(directory))
+        self.sequencer = sequencer_of(self.run.live, intake, self.run.writer, memory, before_reset=before_reset)
         replies = stack.enter_context(ReceiptSender())
         stack.enter_context(ZenohInputs(server, self.run.keys, intake, replies, 1 << 20, counters))
         stack.callback(lambda: self.sequencer.stop(WAIT_S))
@@ -82,23 +59,23 @@ class Service:
 
 def test_a_reset_that_meets_a_full_disk_holds_up_no_refusal_and_comes_when_there_is_room(tmp_path: Path) -> None:
     with ExitStack() as stack:
-        service = Service(tmp_path, stack)
+        service = ResettableRun(tmp_path, stack)
         sequencer, done = service.sequencer, list[tuple[int, int]]()
         before = (service.run.run.map.sequence, service.run.run.epoch)
-        service.disk.full = True
+        service.disk.broken = True
         asking = threading.Thread(target=sequencer.call, args=(lambda: done.append(sequencer.reset()), WAIT_S))
         asking.start()
         wait_for(service.disk.failed, "the disk to refuse the reset")
         with pytest.raises(QueryRefused, match="log_unavailable"):
             service.ingest(1.0)
         turned = sequencer.turned
-        with pytest.raises(QueryRefused, match="No space left"):
+        with pytest.raises(QueryRefused, match="no room"):
             service.ingest(1.0)
         assert sequencer.turned > turned, "nobody takes it for stalled"
         with pytest.raises(MessageFault, match=r"log_unavailable.*may still be carried out"):
             sequencer.call(lambda: done.append((0, 0)), 0.01)
         assert (service.run.run.map.sequence, service.run.run.epoch, done) == (*before, [])
-        service.disk.full = False
+        service.disk.broken = False
         asking.join(WAIT_S)
         sequencer.call(lambda: None, WAIT_S)  # what was asked before this one is done
         assert done == [(before[0] + 1, before[1] + 1), (0, 0)]
@@ -110,17 +87,14 @@ def test_a_reset_that_meets_a_full_disk_holds_up_no_refusal_and_comes_when_there
     assert kinds[kinds.index("reset") + 1] == "integration"
 
 
-def test_a_logged_reset_that_can_not_be_done_ends_the_sequencer_and_the_next_start_does_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_logged_reset_that_can_not_be_done_ends_the_sequencer_and_the_next_start_does_it(tmp_path: Path) -> None:
+
+    def no_memory(_map: RoughMap) -> None:
+        raise MemoryError
+
     with ExitStack() as stack:
-        service = Service(tmp_path, stack)
+        service = ResettableRun(tmp_path, stack, no_memory)
         before = service.run.run.map.sequence
-
-        def no_memory(_map: RoughMap) -> None:
-            raise MemoryError
-
-        monkeypatch.setattr(service.sequencer, "_before_reset", no_memory)
         with pytest.raises(ShuttingDown, match=r"MemoryError.*the next start carries it out"):
             service.sequencer.call(service.sequencer.reset, WAIT_S)
         assert service.sequencer.stop(WAIT_S)
@@ -132,7 +106,7 @@ def test_a_logged_reset_that_can_not_be_done_ends_the_sequencer_and_the_next_sta
 
 def test_a_reset_that_is_not_on_the_disk_at_the_end_is_not_told_as_done(tmp_path: Path) -> None:
     with ExitStack() as stack:
-        service = Service(tmp_path, stack)
+        service = ResettableRun(tmp_path, stack)
         sequencer, told = service.sequencer, list[object]()
 
         def ask_for_it() -> None:
@@ -141,11 +115,11 @@ def test_a_reset_that_is_not_on_the_disk_at_the_end_is_not_told_as_done(tmp_path
             except ShuttingDown as error:
                 told.append(str(error))
 
-        service.disk.full = True
+        service.disk.broken = True
         asking = threading.Thread(target=ask_for_it)
         asking.start()
         wait_for(service.disk.failed, "the disk to refuse the reset")
         assert sequencer.stop(WAIT_S)
         asking.join(WAIT_S)
         assert told == ["the service ends; the next start carries the reset out if it reached the disk"]
-        service.disk.full = False
+        service.disk.broken = False

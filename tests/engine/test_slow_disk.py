@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from net import WAIT_S, Gathered, wait_for
+from sequencers import sequencer_of
 from service_tools import T0, LoggedRun, cloud, config
 from spill_tools import leave
 
@@ -26,7 +27,6 @@ from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.answers.tiles import TileQueries
 from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.recovery import recover
-from roughmap_service.engine.sequencer import Intervals, Sequencer
 from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.queue import InputMessage, InputQueue
 from roughmap_service.offline.replay import replay
@@ -39,7 +39,7 @@ NEAR, FAR, FARTHER, FARTHEST = 0, 10, 20, 30
 """Tiles, each alone: the first is in memory, the others are not."""
 
 
-class Disk:
+class ReadStop:
     """Once told to, it stops at the next tile that it shall read, until it is let ``go``; at all others it does not."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -74,10 +74,10 @@ def points_in(*tiles: int, t: float = 1.0) -> bytes:
     return cloud(t, frame="map", points=np.array([[6.4 * x + 3.2, 3.2, t + x] for x in tiles]))
 
 
-class Service:
+class ReadRun:
     """The sequencer of a run, and readers of its map."""
 
-    def __init__(self, disk: Disk, run: LoggedRun, spill: Spill, stack: ExitStack) -> None:
+    def __init__(self, disk: ReadStop, run: LoggedRun, spill: Spill, stack: ExitStack) -> None:
         self.disk, self.run, self.map = disk, run, run.run.map
         self.decided: Gathered[IntegrationEvent] = Gathered()
         self.digests = {x: d.tobytes().hex() for x, d in zip(*self.map.tile_digests()[::2], strict=True)}
@@ -88,10 +88,7 @@ class Service:
         self._taken = 0
         self._memory = MemoryLimit(1 << 20, spill, measure=lambda: self._taken)
         live = LiveRun(run.run, run.view, run.writer, run.recorder, counters, self._memory, self._hear)
-        self._sequencer = Sequencer(
-            live, self._intake, run.writer, self._memory, Intervals(3600.0, 3600.0), take_snapshot=lambda: None,
-            before_reset=lambda _: None,
-        )  # fmt: skip
+        self._sequencer = sequencer_of(live, self._intake, run.writer, self._memory)
         self._pool = stack.enter_context(ThreadPoolExecutor(4))
         stack.callback(lambda: self._sequencer.stop(WAIT_S))
         stack.callback(disk.go.set)  # whatever fails, nobody is left standing there
@@ -133,7 +130,7 @@ class Service:
 
 
 @contextmanager
-def serving(where: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
+def serving(where: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ReadRun]:
     """With all tiles but the near one in the spill file or in the store. The run's replay must come out equal."""
     store = Store(folder / "map.db")
     if where == "store":
@@ -142,7 +139,7 @@ def serving(where: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
             before.decide()
             before.checkpoint()
             before.snapshot()
-    disk = Disk(monkeypatch)
+    disk = ReadStop(monkeypatch)
     with ExitStack() as stack:
         spill = stack.enter_context(Spill(folder / "tiles.spill", 100 * SLOT_BYTES))
         recovered = recover(config(), folder / "log", store, memory=MemoryLimit(1 << 40, spill))
@@ -154,17 +151,17 @@ def serving(where: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
         run.decide()
         leave(run.run.map)
         assert (run.run.map.resident_tiles, spill.used) == (1, 3)
-        yield Service(disk, run, spill, stack)
+        yield ReadRun(disk, run, spill, stack)
     assert replay([folder / "log"]).run.map.digest() == run.run.map.digest()
 
 
 @pytest.fixture(params=["spill", "store"])
-def service(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
+def service(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ReadRun]:
     with serving(request.param, tmp_path, monkeypatch) as made:
         yield made
 
 
-def test_while_the_writer_waits_for_the_disk_all_are_answered(service: Service) -> None:
+def test_while_the_writer_waits_for_the_disk_all_are_answered(service: ReadRun) -> None:
     sequence = service.map.sequence
     service.disk.stop()
     service.send(points_in(NEAR, FAR, t=2.0))
@@ -181,7 +178,7 @@ def test_while_the_writer_waits_for_the_disk_all_are_answered(service: Service) 
     assert service.beside(lambda: service.digest(FAR)).result(WAIT_S) != service.digests[FAR]
 
 
-def test_while_a_reader_waits_for_the_disk_the_map_and_other_readers_go_on(service: Service) -> None:
+def test_while_a_reader_waits_for_the_disk_the_map_and_other_readers_go_on(service: ReadRun) -> None:
     """Also when its tile comes back, changes and leaves again meanwhile."""
     service.disk.stop()
     waiting = service.beside(lambda: service.digest(FAR))

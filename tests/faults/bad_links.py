@@ -25,7 +25,7 @@ class Proxy:
     """Hands bytes on between clients and ``port``; a context manager."""
 
     def __init__(self, port: int) -> None:
-        self._to = port
+        self.to = port
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._server.getsockname()[1]
         self._flows = threading.Event()
@@ -58,7 +58,7 @@ class Proxy:
             except OSError:
                 return
             try:
-                service = socket.create_connection(("127.0.0.1", self._to), 5.0)
+                service = socket.create_connection(("127.0.0.1", self.to), 5.0)
             except OSError:
                 client.close()
                 continue
@@ -112,7 +112,7 @@ def torn_links(trial: Trial, folder: Path, rng: random.Random, number: int) -> N
             if kind == "kill":
                 service.kill()
                 proxy.cut()
-                service = stack.enter_context(Service(folder, zenoh={"listen": [f"tcp/127.0.0.1:{proxy._to}"]}))
+                service = stack.enter_context(Service(folder, zenoh={"listen": [f"tcp/127.0.0.1:{proxy.to}"]}))
                 service.ready()
             proxy.release()
             worker.join(PATIENCE_S)

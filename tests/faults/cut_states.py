@@ -156,7 +156,7 @@ class Folder:
                 (where / name).write_bytes(value.seen())
 
 
-class Disk:
+class DiskTree:
     """The tree below ``root`` as the calls made it."""
 
     def __init__(self, root: Path) -> None:

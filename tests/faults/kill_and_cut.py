@@ -5,7 +5,7 @@ import shutil
 import tomllib
 from pathlib import Path
 
-from cut_states import OPEN, RENAME, SYNC, UNLINK, Call, Disk, read_journal
+from cut_states import OPEN, RENAME, SYNC, UNLINK, Call, DiskTree, read_journal
 from load import Fleet, settings, status
 from power_cuts import recovers
 from processes import Service
@@ -31,7 +31,7 @@ def kills_and_cuts(trial: Trial, folder: Path, rng: random.Random, number: int) 
     kills = [rng.choice(places) for _ in range(-(-number // 3)) for places in _places(calls)]
     for kill in kills[:number]:
         if not trial.found:
-            disk = Disk(shim.root)
+            disk = DiskTree(shim.root)
             for call in calls[: kill + 1]:
                 disk.take(call)
             _go_on(trial, folder / f"kill{kill}", rng, disk, fleet, calls[kill].end, f"killed at call {kill}")
@@ -51,7 +51,7 @@ def _places(calls: list[Call]) -> list[list[int]]:
 
 
 def _go_on(
-    trial: Trial, folder: Path, rng: random.Random, disk: Disk, before: Fleet, promised: int, where: str
+    trial: Trial, folder: Path, rng: random.Random, disk: DiskTree, before: Fleet, promised: int, where: str
 ) -> None:
     """Start from what a kill leaves of the disk, take more in, and recover from power cuts of that."""
     shim = Shim(folder, journal=True)

@@ -5,7 +5,7 @@ import shutil
 import tomllib
 from pathlib import Path
 
-from cut_states import Disk, read_journal
+from cut_states import DiskTree, read_journal
 from load import Fleet, settings
 from processes import Service
 from report import Trial
@@ -53,7 +53,7 @@ def _cuts_of_a_run(trial: Trial, folder: Path, rng: random.Random, number: int, 
     calls = list(read_journal(shim.journal))
     cuts = sorted(rng.randrange(len(calls)) for _ in range(number))
     trial.note("calls in the journal", len(calls))
-    disk, done = Disk(shim.root), 0
+    disk, done = DiskTree(shim.root), 0
     for cut in cuts:
         for call in calls[done : cut + 1]:
             disk.take(call)

@@ -3,14 +3,13 @@
 import errno
 import os
 import random
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import paths  # noqa: F401 - before what it makes importable
 import pytest
-from cut_states import Call, Disk, read_journal
+from cut_states import DiskTree
+from journals import DIES, journal_of
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from service_tools import WAIT_S, LoggedRun, config, inputs_of, read_back
@@ -19,7 +18,6 @@ from shim import Shim
 from roughmap_service.engine.recovery import recover
 from roughmap_service.host.disk import make_directory
 
-DIES = 9
 CUTS = 60
 """So many states of what was not synced: about one in eight has the footer's end and not its beginning."""
 
@@ -69,18 +67,6 @@ def leave_a_file_behind(directory: Path) -> None:
     os._exit(DIES)
 
 
-def journal_of(shim: Shim, *steps: Callable[[Path], None]) -> list[Call]:
-    """What processes that run the steps one after the other do to the disk."""
-    for step in steps:
-        code = f"import {step.__module__} as t, pathlib; t.{step.__name__}(pathlib.Path({str(shim.root / 'log')!r}))"
-        child = subprocess.run(
-            [sys.executable, "-c", code], env={**os.environ, **shim.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-            check=False, capture_output=True, text=True, timeout=60.0,
-        )  # fmt: skip
-        assert child.returncode == DIES, child.stderr
-    return list(read_journal(shim.journal))
-
-
 @pytest.mark.parametrize(
     ("steps", "logged"),
     [([run_until_the_footer], 60), ([run_until_the_footer, go_on], 63), ([leave_a_file_behind], 6)],
@@ -92,7 +78,7 @@ def test_what_is_gone_on_from_is_on_the_disk(tmp_path: Path, steps: list[Callabl
     calls = journal_of(shim, *steps)
     whole = [one.payload for one in inputs_of(read_back(shim.root / "log"))]
     assert len(whole) == logged
-    disk = Disk(shim.root)
+    disk = DiskTree(shim.root)
     for call in calls:
         disk.take(call)
     rng = random.Random(1)

@@ -13,11 +13,11 @@ import numpy as np
 import paths  # noqa: F401 - before what it makes importable
 import pytest
 import zenoh
+from load import dense
 from net import WAIT_S, peer_config
 from processes import STOP_S, T0, Service, connected, replay
 from service_tools import LoggedRun, config
 from shim import Shim
-from test_sick_disks import dense
 
 from roughmap_schemas import encode_cloud
 

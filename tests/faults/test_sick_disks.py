@@ -9,21 +9,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import paths  # noqa: F401 - before what it makes importable
 import pytest
+from load import dense
 from net import Gathered
 from processes import T0, Feed, Service, connected
 from shim import Shim
 
 from roughmap_schemas import MapStatus, encode_cloud
 from roughmap_service.cli.main import run
-
-
-def dense(number: int) -> bytes:
-    """A cloud with a point in each cell of 64 tiles: 16 MiB."""
-    x, y = np.meshgrid(0.1 * np.arange(512) + 0.05 + 51.2 * number, 0.1 * np.arange(512) + 0.05)
-    return encode_cloud(np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float32), T0 + number, "map")
 
 
 def placed(number: int) -> bytes:

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import paths  # noqa: F401 - before what it makes importable
-from cut_states import Disk
+from cut_states import DiskTree
+from journals import DIES, journal_of
 from service_tools import WAIT_S, LoggedRun, config, inputs_of, read_back
 from shim import Shim
-from test_closed_unsynced import DIES, journal_of
 
 from roughmap_service.engine.recovery import recover
 from roughmap_service.host.disk import make_directory
@@ -69,7 +69,7 @@ def put_aside(log: Path) -> None:
 
 def left_of(shim: Shim, where: Path, *steps: Callable[[Path], None]) -> Path:
     """What the worst cut behind the last step leaves."""
-    disk = Disk(shim.root)
+    disk = DiskTree(shim.root)
     for call in journal_of(shim, *steps):
         disk.take(call)
     disk.top.write(where, Worst())
@@ -82,7 +82,7 @@ def test_a_repair_never_takes_away_what_was_on_the_disk(tmp_path: Path) -> None:
     whole = [one.payload for one in inputs_of(read_back(shim.root / "log"))]
     calls = journal_of(shim, started)
     assert (len(whole), len(calls) > before) == (9, True)
-    disk = Disk(shim.root)
+    disk = DiskTree(shim.root)
     for number, call in enumerate(calls, 1):
         disk.take(call)
         if number >= before:

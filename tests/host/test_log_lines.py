@@ -126,12 +126,20 @@ def test_a_state_that_is_entered_or_left_is_always_told(logger: logging.Logger) 
 
 
 def test_kinds_that_are_remembered_are_bounded(logger: logging.Logger) -> None:
-    lines_to(logger, TextFormatter())
-    for number in range(MAX_KINDS + 10):
-        note(logger, logging.INFO, "robot", "first", robot=f"r{number}")
-    handler = logger.handlers[0]
-    assert isinstance(handler, Lines)
-    assert len(handler._kinds) == MAX_KINDS
+    """The oldest is forgotten: it begins again, and may be told as often as a new one."""
+    stream, _ = lines_to(logger, TextFormatter())
+
+    def told(robot: str) -> int:
+        before = len(stream.getvalue().splitlines())
+        for _ in range(2 * REPEATS):
+            note(logger, logging.INFO, "robot", "line", robot=robot)
+        return len(stream.getvalue().splitlines()) - before
+
+    assert [told(f"r{number}") for number in range(MAX_KINDS)] == [REPEATS] * MAX_KINDS
+    assert told("r0") == 0
+    assert told("one more") == REPEATS
+    assert told("r1") == 0
+    assert told("r0") == REPEATS
 
 
 def test_the_form_follows_the_terminal_and_the_setting(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from net import Gathered, wait_for
 from http_tools import wait_until
+from net import Gathered
 from processes import LEVEL, PRECISE, READY_S, T0, Feed, Service, connected, read_log
 
 from roughmap_schemas import MapStatus, encode_cloud, encode_odometry
@@ -160,7 +160,6 @@ def test_an_overload_is_told_everywhere_and_so_is_its_end(
 
 def test_a_start_that_would_open_the_pages_to_the_network_is_refused(tmp_path: Path) -> None:
     with Service(tmp_path, http={"listen": "0.0.0.0:0"}) as service:
-        wait_for(service._told, "its end", READY_S)
-        assert service.finished() == 2
+        assert service.finished(READY_S) == 2
         (line,) = [line for line in service.err if not line.startswith("{")]
         assert "http.listen: 0.0.0.0:0 is open to the network" in line

@@ -1,6 +1,5 @@
 """A disk that is slower than what comes in: the log's queue stays within its limit, and the run goes before outputs."""
 
-import io
 import threading
 from functools import partial
 from pathlib import Path
@@ -8,14 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from disks import DiskOf, StuckFile
 from net import Gathered, wait_for
+from sequencers import ample_memory, sequencer_of
 from service_tools import T0, WAIT_S, LoggedRun, cloud, metadata
-from test_live_run import memory
-from test_log_writer_faults import Stuck
 
 from roughmap_schemas.kinds import Kind
 from roughmap_service.engine.live_run import LiveRun
-from roughmap_service.engine.sequencer import Intervals, Sequencer
 from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.queue import InputMessage, InputQueue
 from roughmap_service.journal.items import RECORD_OVERHEAD, Sync
@@ -28,19 +26,8 @@ CLOUDS = 100
 """Of a kilobyte each: ten times the limit."""
 
 
-class Disk:
-    """Files that take nothing while `free` is not set."""
-
-    def __init__(self) -> None:
-        self.files: list[Stuck] = []
-
-    def open(self, path: Path) -> Any:
-        self.files.append(Stuck(path))
-        return io.BufferedWriter(self.files[-1])
-
-
 def test_the_queue_has_its_limit_and_half_of_it_is_the_runs_alone(tmp_path: Path) -> None:
-    disk = Disk()
+    disk = DiskOf(StuckFile)
     thousand = LogRecord(Kind.QUERIES, "maps/site/queries", bytes(1000 - RECORD_OVERHEAD), T0, T0)
     with LogWriter(tmp_path, metadata(), queue_limit=LIMIT, open_file=disk.open) as writer:
         (file,) = disk.files
@@ -62,9 +49,9 @@ def test_the_queue_has_its_limit_and_half_of_it_is_the_runs_alone(tmp_path: Path
 
 def test_what_comes_in_waits_for_the_disk_and_takes_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It waits where it is bounded and counted: before it is taken up."""
-    disk, decided = Disk(), Gathered[bytes]()
+    disk, decided = DiskOf(StuckFile), Gathered[bytes]()
     monkeypatch.setattr("service_tools.LogWriter", partial(LogWriter, queue_limit=LIMIT))
-    with LoggedRun(tmp_path / "log", open_file=disk.open) as run, memory(tmp_path) as enough:
+    with LoggedRun(tmp_path / "log", open_file=disk.open) as run, ample_memory(tmp_path) as enough:
         writer, full, held = run.writer, threading.Event(), []
         wait_room, put = writer.wait_room, writer.put
 
@@ -81,10 +68,7 @@ def test_what_comes_in_waits_for_the_disk_and_takes_no_memory(tmp_path: Path, mo
         monkeypatch.setattr(writer, "put", putting)
         intake, counters = InputQueue(1 << 20, Counters()), Counters()
         live = LiveRun(run.run, run.view, writer, Recorder(writer, run.keys), counters, enough, decided)
-        sequencer = Sequencer(
-            live, intake, writer, enough, Intervals(3600.0, 3600.0), take_snapshot=lambda: None,
-            before_reset=lambda _: None,
-        )  # fmt: skip
+        sequencer = sequencer_of(live, intake, writer, enough)
         for number in range(CLOUDS):
             payload = cloud(number, frame="map", points=np.ones((36, 3)))
             intake.put(InputMessage(Kind.POINTS, "rover", payload, T0, 0.0))

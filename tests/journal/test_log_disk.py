@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from disks import FailingDisk, FailingFile
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from properties import examples
@@ -22,51 +23,6 @@ from roughmap_service.journal.records import LogRecord
 from roughmap_service.journal.writer import LogWriter
 
 RUN = metadata().run
-
-
-class Disk:
-    """Counts what is done to it, and fails where it is told: ``(what, n)`` is the n-th "open", "write" or "fsync"."""
-
-    def __init__(self, *faults: tuple[str, int]) -> None:
-        self.faults = set(faults)
-        self.counts = {"open": 0, "write": 0, "fsync": 0}
-        self.works = self.broken = False
-        """Whether nothing fails, or everything."""
-
-    def does(self, what: str) -> None:
-        """One operation."""
-        if self.works:
-            return
-        self.counts[what] += 1
-        if self.broken or (what, self.counts[what]) in self.faults:
-            raise OSError(errno.ENOSPC, f"no room ({what} {self.counts[what]})")
-
-    def open(self, path: Path) -> Any:
-        """A new file on it."""
-        raw = _File(path, "xb")
-        raw.disk = self
-        try:
-            self.does("open")
-        except OSError:
-            raw.close()  # the name is there, as after a failure to write the beginning
-            raise
-        return io.BufferedWriter(raw)
-
-
-class _File(io.FileIO):
-    disk: Disk
-
-    def write(self, data: Any) -> int:
-        try:
-            self.disk.does("write")
-        except OSError:
-            super().write(bytes(data)[: len(data) // 2])  # a full disk takes a part
-            raise
-        return super().write(data)
-
-    def fileno(self) -> int:
-        self.disk.does("fsync")  # which is what the number is asked for
-        return super().fileno()
 
 
 @pytest.fixture(autouse=True)
@@ -114,7 +70,7 @@ def test_nothing_is_lost_or_doubled_wherever_it_fails(
 ) -> None:
     """Every place but the very first file's beginning, where there is no log yet that could be kept."""
     directory = tmp_path_factory.mktemp("log")
-    disk = Disk(*faults)
+    disk = FailingDisk(*faults)
     disk.works = True
     held: dict[int, list[int]] = {}
 
@@ -145,13 +101,13 @@ def test_nothing_is_lost_or_doubled_wherever_it_fails(
 def test_a_disk_that_fails_at_the_start(tmp_path: Path, what: str) -> None:
     """There is no log yet to keep: whoever wants one hears it, and no half file is left."""
     with pytest.raises(OSError, match="no room"):
-        LogWriter(tmp_path, metadata(), open_file=Disk((what, 1)).open)
+        LogWriter(tmp_path, metadata(), open_file=FailingDisk((what, 1)).open)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_while_it_fails(tmp_path: Path, noticed: Noticed) -> None:
     """It says so, drops outputs, promises nothing; afterwards it goes on by itself."""
-    disk = Disk()
+    disk = FailingDisk()
     with LogWriter(tmp_path, metadata(), open_file=disk.open) as writer:
         writer.put(record(1))
         assert writer.wait_synced(WAIT_S)
@@ -176,7 +132,7 @@ def test_while_it_fails(tmp_path: Path, noticed: Noticed) -> None:
 
 def test_an_end_while_it_fails(tmp_path: Path) -> None:
     """It ends in time and says that not all was kept; what was synced is there."""
-    disk = Disk()
+    disk = FailingDisk()
     writer = LogWriter(tmp_path, metadata(), open_file=disk.open)
     writer.put(record(1))
     assert writer.wait_synced(WAIT_S)
@@ -207,13 +163,13 @@ def test_tries_that_fail_leave_no_files(tmp_path: Path, noticed: Noticed) -> Non
     tries: list[Path] = []
     enough = threading.Event()
 
-    class Small(_File):
+    class Small(FailingFile):
         def write(self, data: Any) -> int:
             if self.disk.broken and self.tell() + len(data) > 20_000:
                 raise OSError(errno.ENOSPC, "no room")
             return super().write(data)
 
-    disk = Disk()
+    disk = FailingDisk()
     disk.works = True
 
     def open_file(path: Path) -> Any:

@@ -1,13 +1,12 @@
 """A disk that fails: what the log could not write is kept and written first to the next file, once."""
 
-import errno
 import io
 import logging
-import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
+from disks import DiskOf, FullFile, StuckFile
 from service_tools import WAIT_S, LoggedRun, events_of, inputs_of, read_back, starts_of
 
 from roughmap_schemas.kinds import Kind
@@ -16,53 +15,21 @@ from roughmap_service.journal.items import Sync
 from roughmap_service.journal.records import LogRecord
 
 
-class FullDisk(io.FileIO):
-    """A file that has no room past ``limit`` bytes."""
-
-    limit = 1 << 40
-
-    def write(self, data: Any) -> int:
-        if self.tell() + len(data) > self.limit:
-            raise OSError(errno.ENOSPC, "No space left on device", str(self.name))
-        return super().write(data)
-
-
 def test_what_a_full_disk_would_not_take_is_first_in_the_next_file(tmp_path: Path) -> None:
-    opened: list[FullDisk] = []
+    disk = DiskOf(FullFile)
 
-    def open_file(path: Path) -> Any:
-        opened.append(FullDisk(path, "xb"))
-        return io.BufferedWriter(opened[-1])
-
-    with LoggedRun(tmp_path, open_file=open_file) as run:
+    with LoggedRun(tmp_path, open_file=disk.open) as run:
         run.scan(0.0)
         assert run.writer.wait_synced(WAIT_S)
-        opened[0].limit = opened[0].tell()
+        disk.files[0].limit = disk.files[0].tell()
         events = [run.scan(1.0), run.scan(2.0)]
         assert run.writer.wait_synced(WAIT_S), "what was put before is on the disk in the end"
         assert run.writer.wait_room(WAIT_S)
         assert run.writer.error == ""
     items = read_back(tmp_path)
-    assert len(starts_of(items)) == len(opened) == 2
+    assert len(starts_of(items)) == len(disk.files) == 2
     assert [item.number for item in inputs_of(items)] == list(range(1, 10))
     assert events_of(items)[1:] == events
-
-
-class Stuck(io.FileIO):
-    """A file that takes nothing while ``free`` is not set, and then all, or all but what it was to take meanwhile."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path, "xb")
-        self.free, self.asked, self.broken = threading.Event(), threading.Event(), False
-        self.free.set()
-
-    def write(self, data: Any) -> int:
-        if not self.free.is_set():
-            self.asked.set()
-            assert self.free.wait(WAIT_S)
-            if self.broken:
-                raise OSError(errno.EIO, "Input/output error", str(self.name))
-        return super().write(data)
 
 
 @pytest.mark.parametrize("broken", [False, True])
@@ -70,26 +37,22 @@ def test_a_disk_that_hangs_is_one_that_cannot_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, broken: bool
 ) -> None:
     """From when that is seen on until it answers; each told once. It may answer that it is broken."""
-    opened: list[Stuck] = []
-
-    def open_file(path: Path) -> Any:
-        opened.append(Stuck(path))
-        return io.BufferedWriter(opened[-1])
+    disk = DiskOf(StuckFile)
 
     monkeypatch.setattr(log_writer, "HANG_SECONDS", 0.0)
     caplog.set_level(logging.INFO)
     answers: list[str] = []
     output = LogRecord(Kind.QUERIES, "maps/site/queries", b"{}", 0, 0)
-    with LoggedRun(tmp_path, open_file=open_file) as run:
+    with LoggedRun(tmp_path, open_file=disk.open) as run:
         run.scan(0.0)
         assert run.writer.wait_synced(WAIT_S)
         run.writer.look()
         assert run.writer.ok, "a disk that is asked for nothing does not hang"
-        opened[0].broken = broken
-        opened[0].free.clear()
+        disk.files[0].broken = broken
+        disk.files[0].free.clear()
         run.scan(1.0)
         run.writer.put(Sync(lambda: answers.append("early"), answers.append))
-        assert opened[0].asked.wait(WAIT_S)
+        assert disk.files[0].asked.wait(WAIT_S)
         assert run.writer.ok, "nobody looked"
         for _ in range(2):
             run.writer.look()
@@ -98,10 +61,10 @@ def test_a_disk_that_hangs_is_one_that_cannot_be_written(
         assert not run.writer.put_output(output)
         run.writer.put(Sync(lambda: answers.append("late"), answers.append))
         assert answers == [run.writer.error] * 2, "who waited is told, and who asks now, at once"
-        opened[0].free.set()
+        disk.files[0].free.set()
         assert run.writer.wait_room(WAIT_S)
         assert run.writer.wait_synced(WAIT_S)
-        assert (run.writer.ok, run.writer.error, len(opened)) == (True, "", 1 + broken)
+        assert (run.writer.ok, run.writer.error, len(disk.files)) == (True, "", 1 + broken)
         assert len(answers) == 2, "each was told once"
     told = [record.event for record in caplog.records if record.name == log_writer.__name__]  # type: ignore[attr-defined]
     assert told == ["degraded", *(["degraded"] if broken else []), "recovered"]
@@ -110,18 +73,14 @@ def test_a_disk_that_hangs_is_one_that_cannot_be_written(
 
 def test_a_disk_without_room_for_a_footer_gets_no_more_files(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Though it has room for another beginning: all is in the file, and the next start gives it its footer."""
-    opened: list[FullDisk] = []
+    disk = DiskOf(FullFile)
 
-    def open_file(path: Path) -> Any:
-        opened.append(FullDisk(path, "xb"))
-        return io.BufferedWriter(opened[-1])
-
-    with LoggedRun(tmp_path, open_file=open_file) as run:
+    with LoggedRun(tmp_path, open_file=disk.open) as run:
         event = run.scan(0.0)
         assert run.writer.wait_synced(WAIT_S)
-        opened[0].limit = opened[0].tell()
+        disk.files[0].limit = disk.files[0].tell()
         assert run.writer.close(WAIT_S), "nothing is lost"
-    assert len(opened) == 1
+    assert len(disk.files) == 1
     assert [record.message for record in caplog.records if "footer" in record.message]
     assert events_of(read_back(tmp_path))[-1:] == [event]
 

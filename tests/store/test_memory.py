@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from spill_tools import Disk, leave
+from disks import SpillDisk
+from spill_tools import leave
 
 from roughmap import RoughMap, TooManyTiles
 from roughmap.tiles.slots import SLOT_BYTES
@@ -16,9 +17,8 @@ from roughmap_service.store.spill import Spill
 
 
 def pressed(spill: Spill, m: RoughMap) -> tuple[MemoryLimit, Callable[[], None]]:
-    """Memory that counts tiles alone, 32 of them allowed, and a way to relieve it."""
+    """Memory that counts tiles alone, 32 of them allowed, and a way to relieve it; the map is still empty."""
     memory = MemoryLimit(32 * SLOT_BYTES, spill, measure=lambda: m.resident_tiles * SLOT_BYTES)
-    memory._before = 0
     return memory, lambda: memory.relieve(lambda: nullcontext(m))
 
 
@@ -59,7 +59,7 @@ def test_a_scan_of_more_tiles_than_the_limit_does_not_stay(spill: Spill) -> None
 def test_where_tiles_cannot_leave_the_memory_says_full_until_they_can(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    disk = Disk()
+    disk = SpillDisk()
     disk.left = 0
     monkeypatch.setattr("roughmap_service.store.memory_limit.RETRY_SECONDS", 0.0)
     with Spill(tmp_path / "tiles", 1000 * SLOT_BYTES, write=disk.write) as spill:

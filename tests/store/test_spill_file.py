@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from spill_tools import FAR, Disk, S, filled, ground, leave, leave_all, tiles_of
+from disks import SpillDisk
+from spill_tools import FAR, S, filled, ground, leave, leave_all, tiles_of
 
 from roughmap.tiles.slots import SLOT_BYTES
 from roughmap_service.store.spill import Spill, SpillError
@@ -23,7 +24,7 @@ def test_the_file_grows_no_further_than_tiles_are_spilled_at_once(spill: Spill) 
 
 @pytest.mark.parametrize("left", [0, 1, 20])
 def test_a_full_disk_loses_no_tile(tmp_path: Path, left: int) -> None:
-    disk = Disk()
+    disk = SpillDisk()
     with Spill(tmp_path / "tiles", 1000 * SLOT_BYTES, write=disk.write) as spill:
         m = filled(spill)
         m.add(FAR, S, 10**9)

@@ -1,0 +1,33 @@
+"""A sequencer for tests, with as much memory as it takes and no checkpoint or snapshot in its way."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from roughmap import RoughMap
+from roughmap_service.engine.live_run import LiveRun
+from roughmap_service.engine.sequencer import Intervals, Sequencer
+from roughmap_service.inputs.queue import InputQueue
+from roughmap_service.journal.writer import LogWriter
+from roughmap_service.store.memory_limit import MemoryLimit
+from roughmap_service.store.spill import Spill
+
+
+@contextmanager
+def ample_memory(folder: Path) -> Iterator[MemoryLimit]:
+    """As much as one likes."""
+    with Spill(folder / "tiles.spill", 1 << 30) as spill:
+        yield MemoryLimit(1 << 40, spill)
+
+
+def sequencer_of(
+    live: LiveRun,
+    queue: InputQueue,
+    writer: LogWriter,
+    memory: MemoryLimit,
+    *,
+    before_reset: Callable[[RoughMap], None] = lambda _: None,
+) -> Sequencer:
+    return Sequencer(
+        live, queue, writer, memory, Intervals(3600.0, 3600.0), take_snapshot=lambda: None, before_reset=before_reset
+    )
