@@ -187,6 +187,15 @@ def test_events_that_name_what_is_not_there(values: dict[str, object], said: str
     assert s.map.sequence == 0
 
 
+def test_a_bug_is_not_reported_as_a_log_that_contradicts_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_args: object, **_options: object) -> None:
+        raise ValueError("a bug")
+
+    monkeypatch.setattr(RoughMap, "prepare_scan", broken)
+    with pytest.raises(ValueError, match="^a bug$"):
+        integrate(state(), scan())
+
+
 def test_checkpoint_and_reset() -> None:
     s = state()
     integrate(s, scan())

@@ -24,10 +24,6 @@ TURN_MESSAGES = 512
 holds up the others for no longer than these messages take, a tenth of a second."""
 
 
-MAX_QUEUED_POSES = 10_000
-"""Poses and transforms of all robots that may be queued: seconds of them, in a few MB."""
-
-
 @dataclass(slots=True)
 class InputMessage:
     """A message that passed the checks on its key, encoding and size; not yet decoded.

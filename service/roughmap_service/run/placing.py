@@ -23,8 +23,8 @@ def place_cloud(
 ) -> Prepared:
     """Place a cloud's points (eq. 1) and bring the tiles they touch into memory; the map does not change yet.
 
-    Raises TooManyTiles if the cloud needs more new tiles than it may have (none with ``no_new_tiles``), ValueError if
-    ``poses`` make no trajectory. ``reader_lock`` as for `RoughMap.prepare_points`.
+    Raises TooManyTiles if the cloud needs more new tiles than it may have (none with ``no_new_tiles``), NoTrajectory
+    for ``poses`` that are not one. ``reader_lock`` as for `RoughMap.prepare_points`.
     """
     most_new, most = 0 if no_new_tiles else settings.max_new_tiles, settings.max_tiles
     if cloud.frame_id == settings.frame_id:  # placed already: no pose, no sensor limits, one covariance for all points

@@ -218,14 +218,24 @@ class PoseBuffer:
         self.jumps = state["jumps"]
 
 
+class NoTrajectory(ValueError):
+    """Poses that are not a trajectory: none, or not in the order of their stamps."""
+
+
 def trajectory(poses: Sequence[Pose], unknown_covariance: Floats) -> Trajectory:
-    """Return poses as the core takes them; ``unknown_covariance`` (6, 6) stands in where a message has none."""
-    return Trajectory(
-        np.array([p.stamp_ns for p in poses], np.int64),
-        np.array([p.position for p in poses], np.float64),
-        np.array([p.rotation for p in poses], np.float64),
-        np.array([unknown_covariance if p.covariance is None else p.covariance for p in poses], np.float64),
-    )
+    """Return poses as the core takes them; ``unknown_covariance`` (6, 6) stands in where a message has none.
+
+    NoTrajectory if the core refuses them.
+    """
+    try:
+        return Trajectory(
+            np.array([p.stamp_ns for p in poses], np.int64),
+            np.array([p.position for p in poses], np.float64),
+            np.array([p.rotation for p in poses], np.float64),
+            np.array([unknown_covariance if p.covariance is None else p.covariance for p in poses], np.float64),
+        )
+    except ValueError as error:
+        raise NoTrajectory(str(error)) from None
 
 
 def too_far_apart(poses: Sequence[Pose], max_gap_ns: float) -> bool:

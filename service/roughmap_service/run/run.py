@@ -33,7 +33,7 @@ from roughmap_service.run.decoding import Content
 from roughmap_service.run.duplicates import Duplicates, Identity
 from roughmap_service.run.inbox import INTEGRATED, Arrival, Inbox, LoggedCloud, Proposal
 from roughmap_service.run.placing import place_cloud
-from roughmap_service.run.poses import Pose, PoseBuffer
+from roughmap_service.run.poses import NoTrajectory, Pose, PoseBuffer
 from roughmap_service.run.settings import Settings
 
 KNOWN_WHEN_PLACED = (INTEGRATED, CloudReason.EMPTY, CloudReason.TOO_MANY_TILES)
@@ -152,7 +152,7 @@ class Run:
                 outcome = INTEGRATED if prepared.accepted else CloudReason.EMPTY
             except TooManyTiles:
                 outcome = CloudReason.TOO_MANY_TILES
-            except ValueError as error:
+            except NoTrajectory as error:
                 raise RunError(
                     f"the poses of {cloud.robot} for input {cloud.input} are not a trajectory: {error}"
                 ) from None
