@@ -186,8 +186,8 @@ class LiveRun:
             self._robots.add(robot)
             note(logger, logging.INFO, "robot", f"robot {robot}: first message", robot=robot)
         if isinstance(content, Odometry):
-            self._counters.pose(taken.refused)
-        elif taken.refused is not None:
+            self._counters.pose(taken.rejected)
+        elif taken.rejected is not None:
             self._counters.pose(PoseReason.POSE_FRAME)
         if taken.clock_reset:
             text = f"robot {robot}: its clock was set back; its pose buffer was cleared"

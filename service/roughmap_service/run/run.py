@@ -52,19 +52,19 @@ class RunError(ReportedError):
 class Taken:
     """What a message did to the run.
 
-    ``input`` is its number. ``refused`` says why an odometry or transform gives no pose; ``clock_reset`` that it showed
+    ``input`` is its number. ``rejected`` says why an odometry or transform gives no pose; ``clock_reset`` that it showed
     the robot's clock to be set back, ``jumped`` that the robot's transform moved further than its poses' sigmas allow.
     """
 
     input: int
-    refused: PoseReason | None = None
+    rejected: PoseReason | None = None
     clock_reset: bool = False
     jumped: bool = False
 
 
 @dataclass
 class Run:
-    """The map at one place of a run, and what of the messages so far still bears on it.
+    """A run up to its last record: the map, and what later messages still depend on.
 
     Attributes:
         input: number of the last message; the log's numbers begin at 1.
@@ -103,13 +103,13 @@ class Run:
             return Taken(self.input)
         buffer = self.buffer(robot)
         if isinstance(content, Odometry):
-            refused, clock_reset = buffer.add(content, self.input)
+            rejected, clock_reset = buffer.add(content, self.input)
             if clock_reset:
                 self.inbox.clock_reset(robot)
-            return Taken(self.input, refused, clock_reset)
+            return Taken(self.input, rejected, clock_reset)
         jumps = buffer.jumps
-        refused = buffer.add_transform(content, self.input)
-        return Taken(self.input, refused, jumped=buffer.jumps > jumps)
+        rejected = buffer.add_transform(content, self.input)
+        return Taken(self.input, rejected, jumped=buffer.jumps > jumps)
 
     def keep(self, number: int, robot: str, content: Cloud, arrival: Arrival = REPLAYED) -> LoggedCloud:
         """Keep a logged cloud until its event."""
