@@ -52,8 +52,8 @@ class RunError(ReportedError):
 class Taken:
     """What a message did to the run.
 
-    ``input`` is its number. ``rejected`` says why an odometry or transform gives no pose; ``clock_reset`` that it showed
-    the robot's clock to be set back, ``jumped`` that the robot's transform moved further than its poses' sigmas allow.
+    ``input`` is its number, ``rejected`` why an odometry or transform gives no pose. ``clock_reset``: the robot's clock
+    was set back. ``jumped``: its transform moved further than the sigmas of its poses allow.
     """
 
     input: int
