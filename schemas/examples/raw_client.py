@@ -249,7 +249,7 @@ class HeldMap:
 def drive(endpoint):
     """Feed a map and ask it everything."""
     t0 = 1_700_000_000 * 10**9
-    told = {}
+    found = {}
     with connect(endpoint) as session:
         status = get_json(session, f"maps/{MAP}/status")  # the service's subscriptions are known from here on
         events = queue.Queue()
@@ -269,8 +269,8 @@ def drive(endpoint):
         offsets = np.linspace(0, 100_000_000, len(points)).astype(np.int64)
         scan = cloud(t0 + 20_000_000, "lidar", points, offsets)
         receipts = [ingest(session, "points", scan, POINTS) for _ in range(2)]
-        told["same_input"] = receipts[0]["input"] == receipts[1]["input"]
-        told["duplicates"] = [receipt["duplicate"] for receipt in receipts]
+        found["same_input"] = receipts[0]["input"] == receipts[1]["input"]
+        found["duplicates"] = [receipt["duplicate"] for receipt in receipts]
 
         # One point that is already in the map's frame, published.
         publisher(session, "points", POINTS)(cloud(t0, "map", np.array([[10.05, 0.05, 1.25]]), [0]))
@@ -280,19 +280,19 @@ def drive(endpoint):
             if event["kind"] == "integration":
                 decided[event["input"]] = event
         scanned = decided[receipts[0]["input"]]
-        told["outcomes"] = sorted(event["outcome"] for event in decided.values())
-        told["accepted"] = scanned["accepted"]
-        told["poses"] = len(scanned["poses"])
+        found["outcomes"] = sorted(event["outcome"] for event in decided.values())
+        found["accepted"] = scanned["accepted"]
+        found["poses"] = len(scanned["poses"])
         sequence = max(event["sequence"] for event in decided.values())
 
         # Queries. The events came, so the answers show their points.
         tiles = get_tiles(session, "?layers=mean_height,count")
-        told["tiles"] = sorted((info["x"], info["y"]) for info, _, _ in tiles)
-        told["known_in_tiles"] = int(sum((layers["count"] > 0).sum() for _, layers, _ in tiles))
-        told["known_cells"] = sum(info["known_cells"] for info, _, _ in tiles)
+        found["tiles"] = sorted((info["x"], info["y"]) for info, _, _ in tiles)
+        found["known_in_tiles"] = int(sum((layers["count"] > 0).sum() for _, layers, _ in tiles))
+        found["known_cells"] = sum(info["known_cells"] for info, _, _ in tiles)
         (sample,) = get(session, f"maps/{MAP}/region?bbox=0.6,-0.9,2.4,0.9;layers=mean_height,std_dev;dtype=f8")
         _, layers, origin = read_grid(sample)
-        told["region"] = {
+        found["region"] = {
             "shape": layers["mean_height"].shape,
             "origin": [round(value, 9) for value in origin],
             "largest_height": float(np.nanmax(np.abs(layers["mean_height"]))),
@@ -302,28 +302,28 @@ def drive(endpoint):
             f"maps/{MAP}/cells?layers=mean_height,std_dev",
             json.dumps([[10.05, 0.05], [-50.0, 50.0]]).encode(),
         )
-        told["cells"] = answer["cells"]
+        found["cells"] = answer["cells"]
         try:
             get(session, f"maps/{MAP}/region?bbox=1,0,0,1")
         except Refused as refused:
-            told["refused"] = refused.code
+            found["refused"] = refused.code
 
         # Updates, and the query that makes up for any that were missed.
         held.follow_to(sequence)
         held.catch_up()
-        told["updates_applied"] = held.applied > 0
-        told["held_is_map"] = {key: info["digest"] for key, (info, _) in held.tiles.items()} == {
+        found["updates_applied"] = held.applied > 0
+        found["held_is_map"] = {key: info["digest"] for key, (info, _) in held.tiles.items()} == {
             (info["x"], info["y"]): info["digest"] for info, _, _ in tiles
         }
         status = get_json(session, f"maps/{MAP}/status")
-        told["status"] = {
+        found["status"] = {
             name: status[name] for name in ("contract", "map", "sequence", "input", "health", "refused", "gaps")
         }
-        told["alive"] = [
+        found["alive"] = [
             str(reply.ok.key_expr) == f"maps/{MAP}/alive/{status['instance']}"
             for reply in session.liveliness().get(f"maps/{MAP}/alive/*", timeout=TIMEOUT_S)
         ]
-    return told
+    return found
 
 
 def read_log(folder):

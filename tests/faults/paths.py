@@ -4,6 +4,6 @@ import sys
 from pathlib import Path
 
 TESTS = Path(__file__).parents[1]
-for folder in (TESTS, TESTS / "service", TESTS / "faults"):
+for folder in (TESTS, TESTS / "faults"):
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))

@@ -138,17 +138,17 @@ def _where_the_store_is_ahead(
     The map is the log's if that reaches back to the run's beginning. Otherwise, if the log was damaged, the map is the
     store's and the log begins again. LogError if files are missing: they can be restored.
     """
-    told, first = f"the log ends at record {end}, the store's cut is at {cut.record}", files[0]
+    text, first = f"the log ends at record {end}, the store's cut is at {cut.record}", files[0]
     if first.metadata.first_record == 1:
-        logger.warning("%s; the map is rebuilt from the log alone", told)
+        logger.warning("%s; the map is rebuilt from the log alone", text)
         result, _ = _bring_back(config, store, None, files, watch)
     elif not watch.damaged:
         raise LogError(
-            f"{told}, and {first.path.name} begins at record {first.metadata.first_record}; "
+            f"{text}, and {first.path.name} begins at record {first.metadata.first_record}; "
             "restore the missing files, or start with --fresh"
         )
     else:
-        logger.error("%s, and the log's beginning is missing; the map is the store's", told)
+        logger.error("%s, and the log's beginning is missing; the map is the store's", text)
         set_aside([file.path for file in files])
         result, _ = _bring_back(config, store, cut, [], watch)
         result.index = files[-1].metadata.index + 1
@@ -269,11 +269,11 @@ def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: 
             if watch.memory is not None:
                 watch.memory.relieve(lambda: nullcontext(run.map))
             if step.outcome != item.event:
-                told = f"its event {item.event} came out as {step.outcome}"
+                text = f"its event {item.event} came out as {step.outcome}"
                 if own:
-                    raise RunError(f"the log can't be replayed: {told}")
+                    raise RunError(f"the log can't be replayed: {text}")
                 if not warned:  # equal maps are promised within a release only
-                    logger.warning("the log is of another version, and the map comes out different: %s", told)
+                    logger.warning("the log is of another version, and the map comes out different: %s", text)
                 warned = True
             result.was_reset = result.was_reset or isinstance(item.event, ResetEvent)
     return end

@@ -6,7 +6,7 @@ import socket
 from pathlib import Path
 
 import pytest
-from operate_pages import address, get, pages
+from http_tools import address, get, pages
 
 from roughmap_schemas.sections import HttpConfig
 from roughmap_service.http.server import HttpError, HttpServer, PortTaken

@@ -1,7 +1,7 @@
 """Clients that are slow, large or many: each is ended by its bound, and the others are answered."""
 
 import pytest
-from operate_pages import get, open_raw, pages, rest
+from http_tools import get, open_raw, pages, rest
 
 from roughmap_service.http import limits as http_limits
 from roughmap_service.watch.readiness import Readiness, Sources

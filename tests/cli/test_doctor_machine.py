@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import zenoh
 from certificate_files import certificate
-from operate_pages import address, pages
+from http_tools import address, pages
 
 from roughmap_schemas.config import Config
 from roughmap_schemas.config_load import load_config

@@ -6,8 +6,8 @@ import threading
 from pathlib import Path
 
 import pytest
+from http_tools import pages
 from net import locators
-from operate_pages import pages
 from served import Served
 
 from roughmap_schemas.messages import LogState

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import zenoh
+from http_tools import address, pages
 from live_service import live_service
 from net import peer_config
-from operate_pages import address, pages
 
 from roughmap_schemas import encode_cloud, encode_odometry, encode_transform
 from roughmap_schemas.config import Config
