@@ -2,8 +2,6 @@
 
 import http.client
 import socket
-import threading
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -60,13 +58,4 @@ def rest(connection: socket.socket) -> bytes:
             found += piece
     except ConnectionResetError:
         pass
-    return found
-
-
-def wait_until(condition: Any, what: str) -> Any:
-    """Of what tells nobody that it has changed, and must be asked."""
-    end, pause = time.monotonic() + WAIT_S, threading.Event()
-    while not (found := condition()):
-        assert time.monotonic() < end, f"waited {WAIT_S:g} s in vain for {what}"
-        pause.wait(0.1)
     return found

@@ -2,6 +2,7 @@
 
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any, Generic, TypeVar
@@ -60,6 +61,15 @@ def open_pair() -> Iterator[tuple[zenoh.Session, zenoh.Session]]:
 def wait_for(event: threading.Event, what: str, timeout: float = WAIT_S) -> None:
     """Waits for an event and fails by name if it doesn't come."""
     assert event.wait(timeout), f"waited {timeout:g} s in vain for {what}"
+
+
+def wait_until(condition: Callable[[], T], what: str, timeout: float = WAIT_S) -> T:
+    """Ask for a condition until it holds, for what has no event to wait for, and fail by name if it never does."""
+    end, pause = time.monotonic() + timeout, threading.Event()
+    while not (found := condition()):
+        assert time.monotonic() < end, f"waited {timeout:g} s in vain for {what}"
+        pause.wait(0.1)
+    return found
 
 
 class Gathered(Generic[T]):

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from http_tools import wait_until
-from net import Gathered
+from net import Gathered, wait_until
 from processes import LEVEL, PRECISE, READY_S, T0, Feed, Service, connected, read_log
 
 from roughmap_schemas import MapStatus, encode_cloud, encode_odometry

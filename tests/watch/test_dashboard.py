@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 import yaml
-from http_tools import address, get, pages, wait_until
-from net import WAIT_S
+from http_tools import address, get, pages
+from net import WAIT_S, wait_until
 from served import Served
 
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, QueryCode, Refusal
