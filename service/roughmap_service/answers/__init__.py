@@ -1,14 +1,14 @@
-"""Queries and updates: what readers ask of the map, and what is published to them.
+"""Queries and updates: what readers ask for, and what is published to them.
 
 The way of a query:
 
     queryables.py   a query arrives, is admitted, planned, queued and answered: `Answers`, the steps in one screen
     question.py     the query itself: its limits, its replies, its error, its record in the log
     tiles.py, region.py, cells.py, operations.py
-                    a file a kind of query: parse, check, count cells (`Plan`), then draw the replies
+                    one file per kind of query: parse, check, count cells (`Plan`), then draw the replies
     queue.py        which planned query runs next
     map_reader.py   reads one state of the map for a plan
-    drawing.py      draws tiles of that state; tile_cache.py keeps what was drawn
+    drawing.py      draws tiles of that state; tile_cache.py keeps them, drawn_tile.py adds what changes per reply
 
 `updates.py` publishes changed tiles with the same drawing, `events.py` publishes events. `records.py` logs what was
 answered and published.

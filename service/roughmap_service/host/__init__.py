@@ -1,6 +1,6 @@
 """The machine that the service runs on.
 
 disk.py        files that survive a power cut; locks.py: one service for each log and store
-counters.py    what was counted since the start; log_lines.py: the lines on stderr
-exposure.py    who can reach the Zenoh session; ending.py: one time limit for the end
+counters.py    counts since the start; log_lines.py: the lines on stderr
+exposure.py    who can reach the Zenoh session; ending.py: the time limit of a shutdown
 """

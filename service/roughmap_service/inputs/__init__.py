@@ -6,6 +6,5 @@
     admission.py       the checks before a message is logged; how a refused one is counted and shown
     receipts.py        the answers to ingest requests
 
-A new kind of input: its codec in `roughmap_schemas`, its `Kind` and key, a line in subscriptions.py and in
-`run/decoding.py`, and what it does in `Run.take`.
+A new kind of input: ARCHITECTURE.md lists all places, from its codec to `Run.take`.
 """

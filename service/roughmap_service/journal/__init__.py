@@ -5,7 +5,8 @@
     queue.py            records that wait for the disk; items.py: what can be queued
     writer.py           the log's thread; file_sequence.py: its files in order; file.py: one file
     reader.py           one file, read back; run_files.py: a run's files; chunks.py: bounds on memory
-    repair.py, keep.py  torn and damaged files; deleting the oldest
+    repair.py           repairs torn and damaged files, before a run goes on
+    keep.py             deletes the oldest files
 
 Writing uses `LogWriter` and `Recorder`, reading `find_files`, `one_run` and `read_run`.
 """
