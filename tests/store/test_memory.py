@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -83,8 +84,8 @@ def test_where_tiles_cannot_leave_the_memory_says_full_until_they_can(
 def test_while_readers_hold_all_tiles_what_comes_leaves(spill: Spill) -> None:
     """Beyond what they hold, memory has the tiles of one scan: it refuses nothing, and needs no bound of its own."""
     m = RoughMap(error_model="point", threads=1, shelf=spill)
-    memory, relieve = pressed(spill, m)
-    memory._measure = lambda: m._table.pool.used * SLOT_BYTES
+    memory = MemoryLimit(32 * SLOT_BYTES, spill, measure=lambda: m._table.pool.used * SLOT_BYTES)
+    relieve = partial(memory.relieve, lambda: nullcontext(m))
     m.add([[6.4 * x + 0.1, 0.0, 0.0] for x in range(30)])
     with m.freeze():
         for n in range(20):
