@@ -1,8 +1,8 @@
 """From points to cells: the two phases of an `add`, and the ordered update of cells (eq. 5, 13-16).
 
-    phases.py        both phases; start here
-    geometry.py      phase one: the points of a call, checked
-    blocks.py        phase one: kernels that go over blocks of points, up to their tiles
-    tile_update.py   phase two: the cells of each tile, in the order of the points; cell_update.py: one cell
-    workspace.py     memory that is reused from scan to scan, and the threads
+phases.py        both phases; start here
+geometry.py      phase one: the points of a call, checked
+blocks.py        phase one: kernels that go over blocks of points, up to their tiles
+tile_update.py   phase two: the cells of each tile, in the order of the points; cell_update.py: one cell
+workspace.py     memory that is reused from scan to scan, and the threads
 """

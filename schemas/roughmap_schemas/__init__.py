@@ -1,12 +1,12 @@
 """The contract: messages, key expressions, codecs and configuration that the service and its clients share.
 
-    keys.py, kinds.py, encodings.py                key expressions, kinds of messages, Zenoh encodings
-    cloud.py, odometry.py, transform.py, grid.py   codecs of protobuf messages; wire.py, geometry.py: what they share
-    messages.py, events.py, run_metadata.py        messages in JSON, events, the metadata of a log file
-    selectors.py, parameters.py, layers.py         queries: selectors, their parameters, the names of layers
-    reasons.py, faults.py                          reasons and codes; errors
-    config.py, sections.py, values.py              the configuration, its sections, its types; config_load.py reads it
-    contract.py, export.py                         the version of the contract; its JSON Schemas
+keys.py, kinds.py, encodings.py                key expressions, kinds of messages, Zenoh encodings
+cloud.py, odometry.py, transform.py, grid.py   codecs of protobuf messages; wire.py, geometry.py: what they share
+messages.py, events.py, run_metadata.py        messages in JSON, events, the metadata of a log file
+selectors.py, parameters.py, layers.py         queries: selectors, their parameters, the names of layers
+reasons.py, faults.py                          reasons and codes; errors
+config.py, sections.py, values.py              the configuration, its sections, its types; config_load.py reads it
+contract.py, export.py                         the version of the contract; its JSON Schemas
 """
 
 from roughmap_schemas.cloud import Cloud, decode_cloud, encode_cloud

@@ -63,30 +63,47 @@ class MapConfig(Section):
     """The map: its cells, its error model, and how much it may grow."""
 
     name: Name = "site"
+    """Name of the map, part of all its Zenoh keys."""
     frame_id: Frame = "map"
+    """Frame of the map, into which all points are placed."""
     cell_size: Measure = 0.1
+    """Side of a cell, metres."""
     error_model: Literal["point", "cuboid", "ellipsoid"] = "cuboid"
+    """How a point is spread over cells: not at all ("point"), or by a box or an ellipsoid around it."""
     coverage: Measure = 2.0
+    """Half extent of a point's error body, in standard deviations."""
     min_radius: Measure = 1e-3
+    """Smallest half extent of an error body, metres."""
     min_distance: Measure = 1e-3
+    """Smallest distance between a point and the mean in the confidence factor, metres."""
     min_share: Share = 0.05
+    """A point counts in a cell if the cell's share is at least this fraction of the point's largest share."""
     max_horizontal_radius: Measure = 0.5
+    """A point whose error body reaches further horizontally (metres) is rejected as `uncertain`."""
     height_tolerance: Positive = 0.05
+    """Full width of the height interval of `confidence_level`: the true mean is within half of it, metres."""
     bounds: MaybeBounds = None
+    """xmin, ymin, xmax, ymax in metres: points outside are rejected. Default: none."""
     levels: Annotated[int, Field(ge=1, le=24), NUMBER] = 8
+    """Number of levels. Each doubles the cell size of the one before."""
     memory_limit: Size = 2 << 30
     """Resident memory of the process, beyond what it needs without tiles; above it tiles go to the spill file."""
     spill_path: Annotated[str | None, MaybeNone] = None
     """Default: tiles.spill in log.directory."""
     spill_limit: Size = 64 << 30
+    """Largest size of the spill file."""
     max_new_tiles: AtLeastOne = 4096
+    """A cloud that needs more new tiles is rejected as `too_many_tiles`."""
     max_tiles: AtLeastOne = 4_000_000
+    """Most tiles of the map. A cloud that needs more is rejected as `too_many_tiles`."""
     limits: Annotated[dict[str, Positive], AfterValidator(_known_limits)] = {
         "slope": 0.5,
         "step": 0.2,
         "std_dev": 0.1,
         "confidence": 0.9,
     }
+    """Limits of the layer `traversability`: radians, metres, metres, metres, and a probability for `confidence`. A
+    limit that is left out is not used."""
 
     @model_validator(mode="after")
     def _footprint(self) -> "MapConfig":
@@ -114,21 +131,29 @@ class ZenohConfig(Section):
     """The Zenoh session. Settings that are not given keep the value in ``config_file``, a Zenoh JSON5 file."""
 
     mode: Literal["peer", "client", "router"] = "peer"
+    """Mode of the Zenoh session."""
     listen: Endpoints = ["tcp/127.0.0.1:7447"]
+    """Endpoints to listen on."""
     connect: Endpoints = []
+    """Endpoints to connect to."""
     scouting: bool = False
+    """Search the network for other Zenoh programs."""
     shared_memory: bool = False
     """Use shared memory on this machine. Zenoh keeps 17 MiB for each process that ever sent a message."""
     config_file: Annotated[str | None, MaybeNone] = None
+    """Zenoh configuration file (JSON5)."""
     authority: Annotated[str | None, MaybeNone] = None
     """PEM file of the trusted certificate authority. If set, clients must have a certificate of it."""
     certificate: Annotated[str | None, MaybeNone] = None
     """PEM file of this session's own certificate, for listening and connecting."""
     private_key: Annotated[str | None, MaybeNone] = None
+    """PEM file of the certificate's private key."""
     user: Annotated[str | None, MaybeNone] = None
+    """User name, for routers that require a password."""
     password: Annotated[SecretStr | None, MaybeNone] = None
     """Environment only: ``ROUGHMAP_ZENOH__PASSWORD``."""
     password_file: Annotated[str | None, MaybeNone] = None
+    """File with the password."""
 
     @model_validator(mode="after")
     def _pairs(self) -> "ZenohConfig":
@@ -145,17 +170,26 @@ class InputConfig(Section):
     """Inputs: how long clouds wait, which poses place them, how large messages may be."""
 
     max_wait: NotNegative = 0.5
+    """Longest time that a cloud waits for its poses."""
     max_pose_gap: Positive = 0.5
+    """Longest time between two poses that place points between them."""
     pose_history: Positive = 10.0
+    """How long poses are kept, counted back from the robot's newest pose."""
     max_speed: Positive = 30.0
+    """A cloud whose poses imply a faster motion is rejected as `pose_jump`."""
     max_turn: Positive = 20.0
+    """A cloud whose poses imply a faster rotation is rejected as `pose_jump`."""
     pose_sigma: SixSigmas = (0.05, 0.05, 0.05, 0.01, 0.01, 0.01)
+    """Standard deviations of poses without a covariance."""
     placed_sigma: NotNegative = 0.02
+    """Standard deviation of points in the map's frame without a covariance, along each axis."""
     max_points: AtLeastOne = 4_000_000
+    """Points of a cloud. A larger one is refused as `too_large`."""
     max_message: Size = 64 << 20
     """Bytes of a message. A larger one is refused as `too_large`. One of more than twice the size is dropped by Zenoh
     before it is complete, without an error; only a publisher's numbering shows the gap."""
     queue_limit: Size = 64 << 20
+    """Bytes of clouds in the input queue, and of clouds that wait for a decision."""
     duplicates: NotNegativeWhole = 10_000
     """Messages remembered, so that the same bytes sent again enter the map once. The oldest message of the robot with
     the most is forgotten first. A reset forgets none, so a message sent before it does not enter the empty map if it is
@@ -180,15 +214,25 @@ class SensorConfig(Section):
     """A sensor: its pose on the robot, its errors, and which of its points are kept."""
 
     translation: Three = (0.0, 0.0, 0.0)
+    """Position of the sensor in the robot's base frame."""
     rotation: Rotation = (0.0, 0.0, 0.0, 1.0)
+    """Rotation of the sensor in the robot's base frame: quaternion x y z w."""
     range_sigma: NotNegative
+    """Standard deviation of a range."""
     range_sigma_per_m: NotNegative = 0.0
+    """Added to `range_sigma` for each metre of range."""
     beam_sigma: NotNegative = 0.0
+    """Standard deviation of a beam's direction."""
     mount_sigma: SixSigmas = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Standard deviations of the mounting, in the robot's axes."""
     min_range: NotNegative = 0.0
+    """Nearer points are rejected."""
     max_range: Reach = math.inf
+    """Farther points are rejected."""
     ceiling: Ceiling = math.inf
+    """Points higher above the sensor than `ceiling` + `ceiling_slope` times their horizontal distance are rejected."""
     ceiling_slope: Real = 0.0
+    """See `ceiling`; metres per metre."""
     exclude: list[Box] = []
     """Boxes xmin, ymin, zmin, xmax, ymax, zmax in the robot's frame whose points are rejected: the robot itself."""
 
@@ -232,20 +276,27 @@ class UpdatesConfig(Section):
         "range",
         "confidence_factor",
     ]
+    """Layers of published tiles."""
     levels: Annotated[list[NotNegativeWhole], Once] = [0]
+    """Levels whose tiles are published."""
     update_hz: Positive = 2.0
+    """Most updates of a tile per second."""
 
 
 class QueryConfig(Section):
     """Limits on queries."""
 
     workers: Annotated[int, Field(ge=1, le=256), NUMBER] = 4
+    """Threads that answer queries."""
     max_reply_tiles: AtLeastOne = 1024
+    """Most tiles of one answer."""
     max_region_cells: AtLeastOne = 4_000_000
+    """Most cells of one region."""
     max_running_cells: AtLeastOne = 16_000_000
     """Cells of all queries that are answered at the same time, 64 bytes each. Cells of a region with more than five
     layers (f4) count several times."""
     queue_limit: AtLeastOne = 64
+    """Queries that may wait. Further ones are refused as `busy`."""
     cache_limit: Size = 64 << 20
     """Bytes of encoded tiles kept for repeated queries."""
 
@@ -254,27 +305,37 @@ class LogConfig(Section):
     """The log's files."""
 
     directory: Annotated[str, Field(min_length=1)] = "log"
+    """Folder of the log files."""
     compression: Literal["none", "lz4", "zstd"] = "none"
+    """Compression of the log's chunks."""
     flush_interval: Positive = 0.2
+    """Longest time until records are written to the file. It is synced every second, and before each receipt."""
     checkpoint_interval: Positive = 1.0
+    """Time between two checkpoints."""
     max_file_bytes: Size = 1 << 30
     """Size at which a file ends. It is checked between batches, so a file may be larger by a few hundred messages, or
     with ``updates = "grids"`` by all tiles that changed in one round."""
     max_file_age: Positive = 3600.0
+    """Age at which a file ends."""
     keep: Annotated[Size | None, MaybeNone] = None
     """Bytes of all log files in the directory: of all runs, with the current file and what a repair set aside
     (``.torn``, ``.behind``). After each snapshot the oldest files that it does not need are deleted, so between
     snapshots there may be more. Default: keep all."""
     updates: Literal["records", "grids", "none"] = "records"
+    """What is logged of published tiles: a record of each, the tiles themselves, or nothing."""
     queries: bool = True
+    """Log a record of each query."""
     queue_limit: Size = 128 << 20
+    """Bytes that may wait for the disk."""
 
 
 class StoreConfig(Section):
     """The stored map."""
 
     path: Annotated[str | None, MaybeNone] = None
+    """File of the store, such as map.db. Default: no store; each start rebuilds the map from the log."""
     snapshot_interval: Positive = 10.0
+    """Time between two snapshots."""
 
 
 def _address(value: str | None) -> str | None:
@@ -290,6 +351,7 @@ class HttpConfig(Section):
     """The HTTP server for health and metrics."""
 
     listen: Annotated[str | None, MaybeNone, AfterValidator(_address)] = "127.0.0.1:8080"
+    """Address of the pages, host:port; "" for none."""
     token: Annotated[SecretStr | None, MaybeNone] = None
     """Bearer token, needed for anything but health. Environment only: ``ROUGHMAP_HTTP__TOKEN``."""
     token_file: Annotated[str | None, MaybeNone] = None
@@ -306,6 +368,7 @@ class ServiceConfig(Section):
     """The process itself."""
 
     shutdown_timeout: Positive = 8.0
+    """Longest time from SIGTERM to the end of the process."""
     threads: Annotated[int, Field(ge=0, le=1024), NUMBER] = 0
     """Threads that integrate. 0: numba's default."""
     alive_wait: NotNegative = 15.0
@@ -313,3 +376,4 @@ class ServiceConfig(Section):
     log_format: Literal["auto", "json", "text"] = "auto"
     """Format of the lines on stderr. "auto" is text on a terminal and JSON elsewhere."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
+    """Lowest level of the lines on stderr."""

@@ -26,7 +26,7 @@ from roughmap_service.answers.updates import Updates
 from roughmap_service.engine.control import Control
 from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.recovery import Progress as RecoveryProgress
-from roughmap_service.engine.recovery import Recovered, Stopped, begin_anew, recover, set_aside_damaged
+from roughmap_service.engine.recovery import Recovered, Stopped, begin_new_run, recover, set_aside_damaged
 from roughmap_service.engine.sequencer import Intervals, Sequencer
 from roughmap_service.engine.warmup import warm_up
 from roughmap_service.host.counters import Counters
@@ -301,7 +301,7 @@ def _recover(
     if fresh:
         if store is not None and store.exists():
             logger.warning("a new run; the old store is %s", store.set_aside())
-        recovered = begin_anew(config, directory, memory)
+        recovered = begin_new_run(config, directory, memory)
     else:
         recovered = recover(config, directory, store, progress, stop, memory)
     run, epoch = recovered.run, recovered.epoch

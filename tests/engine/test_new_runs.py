@@ -12,7 +12,7 @@ from log_edits import nth, rewrite
 from service_tools import LoggedRun, config
 
 from roughmap import CELL_DTYPE, RoughMap
-from roughmap_service.engine.recovery import begin_anew, recover
+from roughmap_service.engine.recovery import begin_new_run, recover
 from roughmap_service.run.run import RunError
 from roughmap_service.store.map_db import OtherStateVersion, Store, StoreError
 
@@ -48,7 +48,7 @@ def test_what_begins_anew_is_the_newest_whatever_the_clock_says(logs: Path) -> N
         old.checkpoint()
     (logs / "roughmap-holiday.mcap").write_bytes(b"no log")
     (logs / f"roughmap-{'f' * 32}-000000.mcap").write_bytes(b"no log either")
-    anew = begin_anew(config(), logs)
+    anew = begin_new_run(config(), logs)
     assert (anew.run_id, anew.epoch, anew.run.map.sequence) == (None, 1, 0)
     assert anew.not_before_ns == 10**18 + 1
     with LoggedRun(logs, recovered=anew, created_ns=max(5, anew.not_before_ns)) as new:
@@ -58,7 +58,7 @@ def test_what_begins_anew_is_the_newest_whatever_the_clock_says(logs: Path) -> N
 
 
 def test_nothing_to_be_newer_than(tmp_path: Path) -> None:
-    assert begin_anew(config(), tmp_path).not_before_ns == 0
+    assert begin_new_run(config(), tmp_path).not_before_ns == 0
 
 
 @pytest.mark.parametrize("own", [True, False], ids=["this release", "another"])

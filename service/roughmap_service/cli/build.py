@@ -53,12 +53,13 @@ def build(
     \b
     .xyz .csv .txt .asc   points in the map frame, one per line, in metres: the columns
                           named x, y and z, or the first three
-    .npz                  `points` (N, 3), in metres, or in millimetres if integer;
-                          with `scan_start` (K + 1) and `pose` (K, 4, 4; sensor in map)
-                          they are K scans in the sensor's frame, else points in the
-                          map frame. Optional: stamps, as `stamp_s` or `stamp_ns` (K)
-                          of scans and as `stamp_ns` (1 or N) of points; `covariance`
-                          (3, 3) or (N, 3, 3) of points
+    .npz, placed points   `points` (N, 3) in the map frame, in metres, or in millimetres
+                          if integer; optional: `stamp_ns` (1 or N) and `covariance`
+                          (3, 3) or (N, 3, 3)
+    .npz, K scans         `points` as above, but in the sensor's frame; `scan_start`
+                          (K + 1): scan k is points[scan_start[k]:scan_start[k + 1]];
+                          `pose` (K, 4, 4): the sensor in the map frame; optional:
+                          `stamp_s` or `stamp_ns` (K)
 
     Points in the map frame without a covariance get `input.placed_sigma`.
     """

@@ -82,8 +82,8 @@ def query(
 ) -> None:
     """roughmap query --bbox -5,-5,5,5 --layers mean_height,slope --png ground.png
 
-    Get a rectangle of the map from a running service. Prints, for each layer, the number of known cells and the
-    minimum, median, mean and maximum of their values. --npz saves the arrays (row 0 at the lowest y, NaN where
+    Get a rectangle of the map from a running service. For each layer, print the number of known cells and the minimum,
+    median, mean and maximum of their values. --npz saves the arrays (row 0 at the lowest y, NaN where
     unknown) with origin, cell_size, sequence and epoch.
     """
     from roughmap_client import NoAnswer, QueryRefused, RoughMapClient

@@ -3,8 +3,8 @@
     sequencer.py    the thread and its turns: messages, commands, one cloud, what is due
     live_run.py     what a turn does: check a message, log it, take it up; decide a cloud, place it, log its event
     control.py      operators' requests: snapshot, reset
-    recovery.py     from store and log to the run as it was; newest_run.py: which log files those are, torn ones repaired
+    recovery.py     from store and log to the run as it was; newest_run.py: finds and repairs its log files
     warmup.py       compiles kernels before the first scan
 
-Other rooms import `Sequencer`, `LiveRun`, `Control`, `recover`, `begin_anew` and `warm_up`.
+Other rooms import `Sequencer`, `LiveRun`, `Control`, `recover`, `begin_new_run` and `warm_up`.
 """

@@ -135,13 +135,13 @@ class LiveRun:
         self._publish_event(encode_event(event))
 
     def log_reset(self) -> ResetEvent:
-        """Log a reset that `empty` is to do."""
+        """Log a reset; `empty` carries it out."""
         event = self.run.next_reset()
         self._log(event)
         return event
 
     def empty(self, event: ResetEvent, before: Callable[[RoughMap], None], *, publish: bool) -> None:
-        """Do a logged reset; ``before`` sees the map as it was."""
+        """Carry out a logged reset; ``before`` is called with the map as it was."""
         with self.view.change() as rough_map:
             before(rough_map)
             self.run.reset()

@@ -214,7 +214,7 @@ def blank(config: Config, memory: MemoryLimit | None = None) -> Recovered:
     return Recovered(Run(Settings(config), rough_map))
 
 
-def begin_anew(config: Config, directory: Path, memory: MemoryLimit | None = None) -> Recovered:
+def begin_new_run(config: Config, directory: Path, memory: MemoryLimit | None = None) -> Recovered:
     """Return the beginning of a run that is newer than all runs in the directory."""
     result = blank(config, memory)
     for path in directory.glob("*.mcap"):
@@ -238,7 +238,7 @@ def _take_cut(config: Config, store: Store, cut: Cut, result: Recovered, memory:
             memory.spill.release(places)
             raise
     if cut.digest and run.map.digest() != cut.digest:
-        raise DamagedStore(f"{store.path}: damaged (the digest of its tiles is not its cut's)")
+        raise DamagedStore(f"{store.path}: damaged (its tiles do not have the digest that its cut names)")
     take_cut(cut, run)
     result.run_id, result.epoch = cut.run, cut.epoch + 1
 

@@ -108,7 +108,7 @@ class Sequencer:
         self._queue.command(run)
         if not done.wait(timeout):
             if not self._writer.ok:
-                raise log_fault(self._writer.error, "; the request may still be carried out when it can be")
+                raise log_fault(self._writer.error, "; the request may still be carried out once it can be written")
             raise ShuttingDown(f"the sequencer did not get to the request within {timeout:g} s")
         if raised:
             raise raised[0]
@@ -116,8 +116,8 @@ class Sequencer:
     def reset(self) -> tuple[int, int]:
         """Empty the map; returns the (sequence, epoch) that begin with it. Run it by `call`.
 
-        The new epoch is durable before anyone sees it. Once the reset is logged it precedes everything: while the disk
-        fails, messages are refused and nothing is decided.
+        The new epoch is durable before readers see it. Once the reset is logged, nothing may come before it: while the
+        disk fails, messages are refused and no cloud is decided.
         """
         if not self._writer.wait_room(IDLE_SECONDS):
             raise log_fault(self._writer.error)
@@ -189,8 +189,8 @@ class Sequencer:
             self._next_snapshot = now + self._intervals.snapshot
 
     def _wait_for_log(self) -> None:
-        """Wait while the disk is slow: meanwhile the input queue drops and counts. A log that can't be written is not
-        waited for: each message would hold up all others, refusals too."""
+        """Wait while the disk is slow; meanwhile the input queue drops and counts. Don't wait for a log that can't be
+        written: each message would hold up all others, refusals too."""
         while self._writer.ok and not self._writer.wait_room(IDLE_SECONDS) and not self._stopping.is_set():
             pass
 

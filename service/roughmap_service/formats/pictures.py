@@ -48,7 +48,7 @@ STYLES: dict[str, tuple[str, str, str]] = {
     "std_dev": ("standard deviation of height", "m", "magma"),
     "range": ("range of heights", "m", "magma"),
     "confidence_level": ("confidence level", "probability", "viridis"),
-    "confidence_factor": ("confidence factor (smaller is surer)", "m\u00b2 / weight", "viridis_r"),
+    "confidence_factor": ("confidence factor (smaller is better)", "m\u00b2 / weight", "viridis_r"),
     "mean_variance": ("variance of the mean", "m\u00b2", "magma"),
     "count": ("points that touched a cell", "points", "cividis"),
     "weight": ("weight", "1 / m\u00b3", "cividis"),

@@ -47,7 +47,7 @@ class Ending:
 
     def _give_up(self) -> None:
         if self._kept:
-            logger.warning("cut the links of clients that stopped reading; everything is on the disk")
+            logger.warning("closed the links of clients that stopped reading; everything is on disk")
             os._exit(0)
         logger.critical(
             "the service did not end within service.shutdown_timeout (%g s): anything not yet on the disk is lost",

@@ -1,4 +1,4 @@
-"""What a message must be to be logged: whole, from a known robot and sensor, and with room to wait."""
+"""The checks before a message is logged: it must be valid, from a known robot and sensor, and have room to wait."""
 
 import logging
 from collections.abc import Collection
@@ -18,7 +18,7 @@ MAX_SHOWN = 500
 
 
 def admit(message: InputMessage, settings: Settings, known: Collection[str], inbox: Inbox) -> Content:
-    """Decode a message and check it against the configuration; ``known`` are the robots heard so far.
+    """Decode a message and check it against the configuration; ``known`` are the robots that have sent before.
 
     Raises MessageFault if it must not be logged.
     """
@@ -41,7 +41,7 @@ def admit(message: InputMessage, settings: Settings, known: Collection[str], inb
 def refuse(counters: Counters, robot: str, fault: MessageFault) -> None:
     """Count a message that is not logged, and log a line about it: a few a minute for each robot and reason."""
     shown = counters.refuse(fault.code, robot)
-    if fault.code != Refusal.LOG_UNAVAILABLE:  # the log writer has a line of its own for that
+    if fault.code != Refusal.LOG_UNAVAILABLE:  # the log's writer has its own line for that
         source = "" if robot == OTHERS else f"robot {robot}: "
         text = f"{source}message refused, {fault.code}: {fault.message}"[:MAX_SHOWN]
         note(logger, logging.WARNING, "refused", text, robot=shown, reason=str(fault.code))

@@ -73,7 +73,7 @@ def check_exposure(config: zenoh.Config, loaded: LoadedConfig, *, insecure: bool
         where = f"zenoh.config_file {file}: {path}" if file and not loaded.given(name) else name
         raise ConfigFault(
             f"{where}:{text}; use tls/ with certificates (SECURITY.md), stay on tcp/127.0.0.1 with zenoh.scouting = "
-            "false, or allow it by --insecure"
+            "false, or start with --insecure"
         )
     for text in (*found, *weaknesses(config)):
         logger.warning("insecure: %s", text)

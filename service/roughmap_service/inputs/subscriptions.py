@@ -33,8 +33,8 @@ MAX_GAP = 1 << 32
 class ZenohInputs:
     """Subscribers and ingest queryables of one session; a context manager that undeclares them.
 
-    Callbacks run in Zenoh's threads (``indirect=False``): they check, copy the payload once and queue it. So no queue
-    of Zenoh's comes before the input queue, whose limit and drop policy hold.
+    Callbacks run in Zenoh's threads (``indirect=False``): they check, copy the payload once and queue it. So Zenoh
+    queues nothing, and the input queue's limit and drop policy apply.
     """
 
     def __init__(
@@ -99,8 +99,10 @@ class ZenohInputs:
                 raise MessageFault(Refusal.BAD_MESSAGE, "expected the message as the request's payload, found none")
             self._check(kind, str(query.encoding or ""), payload)
             if query.attachment is not None and len(query.attachment) > MAX_ATTACHMENT:
-                found = f"an attachment of {len(query.attachment)} bytes"
-                raise MessageFault(Refusal.TOO_LARGE, f"expected at most {MAX_ATTACHMENT} bytes of it; found {found}")
+                found = len(query.attachment)
+                raise MessageFault(
+                    Refusal.TOO_LARGE, f"attachment: expected at most {MAX_ATTACHMENT} bytes; found {found}"
+                )
         except MessageFault as fault:
             refuse(self._counters, robot, fault)
             reply.refuse(fault)

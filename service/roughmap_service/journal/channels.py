@@ -1,4 +1,4 @@
-"""The log's channels: the topic of each kind of message, and the schemas that other tools read them by."""
+"""The log's channels: the topic of each kind of message, and the schemas by which other tools read them."""
 
 import json
 from dataclasses import dataclass

@@ -20,7 +20,7 @@ from roughmap_service.journal.records import FileStart, InputRecord
 logger = logging.getLogger(__name__)
 
 LOST_EPOCHS = 1000
-"""More epochs than anybody begins by resets: clients may have seen epochs that only the lost part of a log names."""
+"""More epochs than resets begin in practice: clients may have seen epochs that only the lost part of a log names."""
 
 
 def repair(path: Path, *, damaged: bool = False) -> Path | None:
@@ -62,7 +62,7 @@ def repair(path: Path, *, damaged: bool = False) -> Path | None:
 
 
 def end_at_damage(damage: DamagedLog) -> None:
-    """End a run before the damage in one of its files: what comes after it has lost its place in the run.
+    """End a run before the damage in one of its files: the records after it have lost those before them.
 
     The damaged file keeps the whole records before the damage; its rest (``.torn``) and the files after it
     (``.behind``) are set aside. The files after it stay if the next one begins with the record that follows: then
@@ -111,7 +111,7 @@ def set_aside(files: list[Path]) -> None:
     """Set aside, as ``FILE.behind``, files that lie behind a damage or a gap."""
     for file in reversed(files):  # a kill meanwhile leaves no gap
         aside = file.rename(_unused_name(file, "behind"))
-        logger.error("%s has lost its place in the run; it was set aside as %s", file.name, aside.name)
+        logger.error("%s follows a damaged or missing part of the run; it was set aside as %s", file.name, aside.name)
     if files:
         sync_directory(files[0].parent)
 

@@ -1,4 +1,4 @@
-"""From the bytes of a message to what it says."""
+"""From the bytes of a message to its content."""
 
 from roughmap_schemas import Cloud, Odometry, Transform, decode_cloud, decode_odometry, decode_transform
 from roughmap_schemas.kinds import Kind

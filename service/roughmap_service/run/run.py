@@ -41,7 +41,7 @@ KNOWN_WHEN_PLACED = (INTEGRATED, CloudReason.EMPTY, CloudReason.TOO_MANY_TILES)
 
 
 REPLAYED = Arrival(0.0)
-"""Of a message that a replay takes: nothing waits then."""
+"""The arrival of a replayed message: it waits for nothing."""
 
 
 class RunError(ReportedError):
@@ -191,9 +191,9 @@ class Run:
         return CheckpointEvent(epoch=self.epoch, sequence=self.map.sequence, digest=self.map.digest())
 
     def follow(self, event: Event) -> Event:
-        """Do what a logged event says and return it as it came out, which should equal it.
+        """Apply a logged event. Return the event that results, which should equal the logged one.
 
-        RunError if it names a message that is not there.
+        RunError if it names a message that the run does not have.
         """
         self.record += 1
         if isinstance(event, IntegrationEvent):
@@ -215,7 +215,7 @@ class Run:
             buffer.jump_m, buffer.jump_rad = settings.jump_m, settings.jump_rad
 
     def buffer(self, robot: str) -> PoseBuffer:
-        """The robot's pose buffer, made when the robot is first heard."""
+        """The robot's pose buffer, made when it is first needed."""
         if robot not in self.poses:
             s = self.settings
             self.poses[robot] = PoseBuffer(s.frame_id, s.history_ns, s.jump_m, s.jump_rad)

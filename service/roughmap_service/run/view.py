@@ -75,7 +75,7 @@ class View:
 
     @contextmanager
     def change(self) -> Iterator[RoughMap]:
-        """Hold the map for writing; what was done is seen by readers, all at once, when this ends."""
+        """Hold the map for writing. Readers see all changes at once when this ends."""
         with self._held():
             if self._was_read:
                 self._was_read = False
@@ -90,8 +90,10 @@ class View:
 
     @contextmanager
     def reading(self) -> Iterator[RoughMap]:
-        """Hold the map, scans and other readers wait meanwhile: for a look at its numbers, to list or pin tiles. What a
-        list of all tiles costs grows with the map. Tiles are read, written and sent only after this."""
+        """Hold the map to read its numbers and to list or pin tiles; scans and other readers wait meanwhile.
+
+        Listing all tiles takes longer in a larger map. Read, write and send tiles only after this.
+        """
         with self._held():
             yield self.map
 

@@ -151,10 +151,10 @@ class Snapshots:
         assert self._store is not None  # noqa: S101 - `offer` checked it
         try:
             if not self._writer.wait_synced(SYNC_SECONDS):
-                self.error = f"the log was not on the disk up to the cut within {SYNC_SECONDS:g} s; it is tried again"
+                self.error = f"the log was not on disk up to the cut within {SYNC_SECONDS:g} s; trying again later"
                 return
             if not self._wait_readers(outdated):
-                self.error = f"a reader still needs the stored tiles after {SYNC_SECONDS:g} s; it is tried again"
+                self.error = f"a reader still needs the stored tiles after {SYNC_SECONDS:g} s; trying again later"
                 return
             self._note_progress()
             self._store.write(cut, frozen, after, self._note_progress)
@@ -182,7 +182,7 @@ class Snapshots:
         self.error = cause if isinstance(error, SpillError | StoreError) else f"{self._store.path}: {cause}"
         if self.ok:
             self.ok = False
-            text = f"the map can't be stored ({self.error}); the log has everything, and it is tried again"
+            text = f"the map can't be stored ({self.error}); the log has everything; trying again later"
             note(logger, logging.ERROR, "snapshot_failed", text, always=True, cause=self.error)
 
     def _end(self, frozen: FrozenMap | None) -> None:

@@ -25,6 +25,8 @@ ROW_BYTES = TILE_CELLS * CELL_DTYPE.itemsize
 NOWHERE, STORED = -1, -2
 """Values of `_slice` for a free place, and for a place whose tile is in the store."""
 
+REMEDY = "restart the service: it rebuilds the map from the log"
+
 STEP = 1024
 """The tables grow by this many places."""
 
@@ -143,9 +145,9 @@ class Spill(Shelf):
         try:
             read = os.preadv(self._file, parts, int(self._slice[place]) * SLOT_BYTES)
         except OSError as error:
-            raise SpillError(f"{self.path}: {error.strerror}; start again: the map is rebuilt from the log") from None
+            raise SpillError(f"{self.path}: {error.strerror}; {REMEDY}") from None
         if read < rows.bit_count() * ROW_BYTES or _checksum(parts) != int(self._check[place]):
-            raise SpillError(f"{self.path}: a tile is damaged; start again: the map is rebuilt from the log")
+            raise SpillError(f"{self.path}: a tile is damaged; {REMEDY}")
 
     def close(self) -> None:
         """Remove the file."""

@@ -169,9 +169,9 @@ class Metrics(Collector):
         problems = self._problems()
         yield _gauge("ready", "1 if the service accepts messages and answers queries.", value=is_ready(problems))
         present = {str(problem): problem in problems for problem in Problem}
-        yield _gauge("problem", "1 for each present problem.", "problem", present)
+        yield _gauge("problem", "1 for each current problem.", "problem", present)
         health = {state: status.health == state for state in ("ok", "overloaded", "degraded")}
-        yield _gauge("health", "1 for the present state of health.", "state", health)
+        yield _gauge("health", "1 for the current state of health.", "state", health)
         yield _gauge("log_ok", "1 if the log can be written.", value=status.log.ok)
         yield _gauge("log_file_bytes", "Size of the log file that is being written.", value=status.log.bytes)
         yield _gauge("sequence", "Sequence of the map: +1 with each integrated cloud or reset.", value=status.sequence)

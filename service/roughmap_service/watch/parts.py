@@ -33,7 +33,7 @@ class RunningParts:
     _stalled: bool = False
 
     def problems(self) -> dict[Problem, str]:
-        """Return the present problems, each with its cause."""
+        """Return the current problems, each with its cause."""
         return running_problems(
             alive=self.sequencer.alive, turned=self.sequencer.turned, failure=self.sequencer.failure,
             log_ok=self.writer.ok, log_error=self.writer.error, memory_ok=self.memory.ok,

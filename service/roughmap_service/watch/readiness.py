@@ -63,7 +63,7 @@ class Readiness:
         self.become(lambda: {Problem.SHUTTING_DOWN: "the service is shutting down"})
 
     def problems(self) -> dict[Problem, str]:
-        """Return the present problems, each with its cause."""
+        """Return the current problems, each with its cause."""
         with self._lock:
             look = self._look
         return dict(look())

@@ -1,4 +1,4 @@
-"""`roughmap doctor`: would a service with this configuration work here, and do the robots send what it needs?"""
+"""`roughmap doctor`: check that a service with this configuration works here and that the robots send what it needs."""
 
 import json
 import time
@@ -39,9 +39,10 @@ def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, 
 
     Check that mapping can work with this configuration: directories and disk space, memory, clock, ports,
     certificates, exposure to the network, Zenoh peers, and what the robots publish (frames, rates, per-point times,
-    poses and their covariance). Prints each finding, and below it the remedy if something is wrong.
+    poses and their covariance). Print each finding, and below it the remedy if something is wrong.
 
-    If the service is running, doctor listens beside it, else in its place. Exit code 1 if anything is wrong.
+    If the service is running, doctor connects to it. If not, doctor opens the Zenoh session that it would open.
+    Exit code 1 if anything is wrong.
     """
     from roughmap_service.cli.doctor import machine as doctor_machine
     from roughmap_service.cli.doctor import security as doctor_security

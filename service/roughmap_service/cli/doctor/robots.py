@@ -77,7 +77,7 @@ def _clouds(robot: str, heard: Heard, config: Config) -> list[Finding]:
             findings.append(Finding(robot, "wrong", text, remedy))
     for frame, number in heard.timeless.items():
         text = f"{number} of {heard.cloud_frames[frame]} clouds in {frame!r} have no per-point times (field t)"
-        remedy = "let the driver send them: without, the robot's motion during a sweep smears the ground"
+        remedy = "let the driver send them: without them, the robot's motion during a sweep smears the ground"
         findings.append(Finding(robot, "note", text, remedy))
     if stream.unnumbered == stream.number:
         text = "clouds have no message_seq (8-byte attachment): lost clouds can't be counted"
@@ -96,7 +96,7 @@ def _poses(robot: str, heard: Heard, config: Config) -> list[Finding]:
         findings.append(Finding(robot, "wrong", text, "publish poses more often, or raise input.max_pose_gap"))
     for frame in sorted(set(heard.pose_frames) - {config.map.frame_id} - heard.child_frames):
         text = f"odometry in frame {frame!r} is rejected: no transform leads to {config.map.frame_id!r}"
-        remedy = f"publish this transform, or odometry in {config.map.frame_id!r}, or set map.frame_id"
+        remedy = f"publish that transform, or odometry in {config.map.frame_id!r}, or set map.frame_id"
         # A transform may have been published once, before doctor listened.
         findings.append(Finding(robot, "note" if not heard.transforms.number else "wrong", text, remedy))
     if heard.bad_covariance:
