@@ -192,7 +192,7 @@ def test_a_bug_is_not_reported_as_a_log_that_contradicts_itself(monkeypatch: pyt
         raise ValueError("a bug")
 
     monkeypatch.setattr(RoughMap, "prepare_scan", broken)
-    with pytest.raises(ValueError, match="^a bug$"):
+    with pytest.raises(ValueError, match=r"^a bug$"):
         integrate(state(), scan())
 
 
