@@ -6,14 +6,17 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from service_tools import LoggedRun, cloud, config, metadata, odometry, read_back
+from service_tools import LoggedRun, cloud, config, metadata, odometry, read_back, transform
 
+from roughmap_schemas import Config
 from roughmap_schemas.kinds import Kind
 from roughmap_service.engine.newest_run import IdentityError
 from roughmap_service.engine.recovery import Recovered, recover
 from roughmap_service.journal.reader import LogError
 from roughmap_service.offline.replay import replay
+from roughmap_service.run.poses import MAX_TRANSFORMS
 from roughmap_service.run.run import RunError
+from roughmap_service.run.settings import Settings
 from roughmap_service.store.map_db import Store, StoreError
 
 
@@ -47,6 +50,29 @@ def test_from_the_log_alone(logs: Path) -> None:
     assert back.run.poses["rover"].to_state() == run.run.poses["rover"].to_state()
     assert back.run.duplicates.to_state() == run.run.duplicates.to_state()
     assert replay([logs]).run.map.digest() == digest(back)
+
+
+def test_from_the_log_of_a_version_whose_limits_on_poses_were_settings(
+    logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A transform that the constant would have forgotten places a cloud again; then the constants hold."""
+    shown = config().public_dict()
+    with monkeypatch.context() as earlier:
+        earlier.setattr(Config, "public_dict", lambda _: {**shown, "input": {**shown["input"], "max_transforms": 1500}})
+        run = LoggedRun(logs)
+    with run:
+        run.run.use(Settings(run.config, max_transforms=1500))
+        for k in range(MAX_TRANSFORMS + 1):
+            run.put(Kind.TRANSFORM, transform(float(k)))
+        run.put(Kind.ODOMETRY, odometry(0.5, frame="odom"))
+        run.put(Kind.ODOMETRY, odometry(0.6, frame="odom"))
+        run.put(Kind.POINTS, cloud(0.55))
+        assert [(event.outcome, event.poses[0][1]) for event in run.decide()] == [("integrated", 1)]
+        run.checkpoint()
+    back = recover(config(), logs, None)
+    assert digest(back) == run.run.map.digest()
+    assert replay([logs]).difference is None
+    assert back.run.poses["rover"].max_transforms == MAX_TRANSFORMS
 
 
 def test_nothing_there_is_a_beginning(logs: Path, store: Store) -> None:

@@ -28,7 +28,7 @@ def fold(run: Run, items: Iterable[LogItem], *, taken: int = 0, low_water: int =
     """
     for item in items:
         if isinstance(item, FileStart):
-            run.use(Settings(item.config))
+            run.use(Settings.of_log(item.config, item.metadata.configuration))
             if item.metadata.first_record > taken:
                 run.epoch = item.metadata.epoch
             yield Step(item)

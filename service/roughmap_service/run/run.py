@@ -213,12 +213,15 @@ class Run:
         for buffer in self.poses.values():
             buffer.history_ns = settings.history_ns
             buffer.jump_m, buffer.jump_rad = settings.jump_m, settings.jump_rad
+            buffer.max_poses, buffer.max_transforms = settings.max_poses, settings.max_transforms
 
     def buffer(self, robot: str) -> PoseBuffer:
         """The robot's pose buffer, made when it is first needed."""
         if robot not in self.poses:
             s = self.settings
-            self.poses[robot] = PoseBuffer(s.frame_id, s.history_ns, s.jump_m, s.jump_rad)
+            self.poses[robot] = PoseBuffer(
+                s.frame_id, s.history_ns, s.jump_m, s.jump_rad, s.max_poses, s.max_transforms
+            )
         return self.poses[robot]
 
     def _named_poses(self, proposal: Proposal) -> list[Pose]:

@@ -1,6 +1,8 @@
 """The configuration, unpacked once into the plain values that the rules of a run use."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -8,6 +10,7 @@ import numpy.typing as npt
 from roughmap import Limits, Noise, RoughMap
 from roughmap.tiles.shelf import Shelf
 from roughmap_schemas import Config, SensorConfig
+from roughmap_service.run.poses import MAX_POSES, MAX_TRANSFORMS
 
 NS = 1_000_000_000
 
@@ -29,11 +32,16 @@ class Sensor:
 
 
 class Settings:
-    """The settings that poses, decisions and integration depend on."""
+    """The settings that poses, decisions and integration depend on.
 
-    def __init__(self, config: Config) -> None:
+    ``max_poses`` and ``max_transforms`` differ from the constants only in logs of versions that had settings for them.
+    """
+
+    def __init__(self, config: Config, *, max_poses: int = MAX_POSES, max_transforms: int = MAX_TRANSFORMS) -> None:
         inputs = config.input
         self.config = config
+        self.max_poses = max_poses
+        self.max_transforms = max_transforms
         self.frame_id = config.map.frame_id
         self.max_wait = inputs.max_wait
         self.max_pose_gap = inputs.max_pose_gap
@@ -53,6 +61,13 @@ class Settings:
         self.jump_m = 3.0 * max(inputs.pose_sigma[:3])
         self.jump_rad = 3.0 * max(inputs.pose_sigma[3:])
         self._sensors: dict[tuple[str, str], Sensor | None] = {}
+
+    @classmethod
+    def of_log(cls, config: Config, stored: Mapping[str, Any]) -> Self:
+        """Return the settings of a log file: its ``config``, and the limits on poses that its ``stored`` one names."""
+        inputs = stored.get("input", {})
+        limits = {name: inputs[name] for name in ("max_poses", "max_transforms") if isinstance(inputs.get(name), int)}
+        return cls(config, **limits)
 
     def sensor(self, robot: str, frame_id: str) -> Sensor | None:
         """The sensor with that frame on that robot; None if it is not configured."""
