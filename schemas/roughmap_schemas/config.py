@@ -79,7 +79,10 @@ class Config(Section):
                 return table
             return {name: value for name, value in table.items() if f"{section}.{name}" not in REMOVED}
 
-        return cls.model_validate({section: kept(section, table) for section, table in values.items()})
+        given: Any = values  # from a file: it may be anything that JSON can hold
+        if isinstance(given, dict):
+            given = {section: kept(section, table) for section, table in given.items()}
+        return cls.model_validate(given)
 
     @model_validator(mode="before")
     @classmethod

@@ -243,6 +243,12 @@ def test_unknown_keys(values: dict, words: str) -> None:
     assert fault(values).startswith(words)
 
 
+@pytest.mark.parametrize("stored", [[1], "map", None, {"map": 1}])
+def test_a_stored_configuration_that_is_none_is_a_value_error(stored: object) -> None:
+    with pytest.raises(ValueError, match="Config"):
+        Config.from_log(stored)
+
+
 @pytest.mark.parametrize("dotted", REMOVED)
 def test_a_removed_setting_is_refused_by_name_but_ignored_in_a_log(dotted: str) -> None:
     section, _, name = dotted.partition(".")
