@@ -14,20 +14,20 @@ F = TypeVar("F", bound=io.FileIO)
 
 
 class FailingDisk:
-    """Counts what is done to it, and fails where it is told: ``(what, n)`` is the n-th "open", "write" or "fsync".
+    """Counts its operations and fails at ``faults``: ``(what, n)`` is the n-th "open", "write" or "fsync".
 
-    ``failed`` is set when it did.
+    ``failed`` is set by the first failure.
     """
 
     def __init__(self, *faults: tuple[str, int]) -> None:
         self.faults = set(faults)
         self.counts = {"open": 0, "write": 0, "fsync": 0}
         self.works = self.broken = False
-        """Whether nothing fails, or everything."""
+        """``works``: nothing fails any more. ``broken``: everything fails."""
         self.failed = threading.Event()
 
     def does(self, what: str) -> None:
-        """One operation."""
+        """Count an operation, or fail."""
         if self.works:
             return
         self.counts[what] += 1
@@ -36,7 +36,7 @@ class FailingDisk:
             raise OSError(errno.ENOSPC, f"no room ({what} {self.counts[what]})")
 
     def open(self, path: Path) -> Any:
-        """A new file on it."""
+        """Open a new file on this disk."""
         raw = FailingFile(path, "xb")
         raw.disk = self
         try:
@@ -64,7 +64,7 @@ class FailingFile(io.FileIO):
 
 
 class StuckFile(io.FileIO):
-    """A file that takes nothing while ``free`` is not set, and then all, or all but what it was to take meanwhile."""
+    """A file whose writes hang until ``free`` is set. If it is ``broken`` by then, the write that hung fails."""
 
     def __init__(self, path: Path, mode: str) -> None:
         super().__init__(path, mode)
@@ -81,7 +81,7 @@ class StuckFile(io.FileIO):
 
 
 class FullFile(io.FileIO):
-    """A file that has no room past ``limit`` bytes."""
+    """A file on a disk that is full past ``limit`` bytes."""
 
     limit = 1 << 40
 
@@ -104,7 +104,7 @@ class DiskOf(Generic[F]):
 
 
 class SpillDisk:
-    """Takes ``left`` more writes of the spill file, and then is full."""
+    """A disk that takes ``left`` more writes of the spill file, and then is full."""
 
     def __init__(self) -> None:
         self.left = 10**9

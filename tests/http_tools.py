@@ -1,4 +1,4 @@
-"""The pages behind a real socket on loopback, and a plain client that shows what came, byte for byte."""
+"""The pages behind a real socket on loopback, and a plain client that returns every byte."""
 
 import http.client
 import socket
@@ -16,14 +16,14 @@ from roughmap_service.watch.readiness import Readiness, Sources
 
 @contextmanager
 def pages(sources: Sources | None = None, **settings: Any) -> Iterator[HttpServer]:
-    """A server on a port that the system chooses."""
+    """Start a server on a port that the system chooses."""
     config = HttpConfig.model_validate({"listen": "127.0.0.1:0", **settings})
     with HttpServer(config, sources or Sources(Readiness())) as server:
         yield server
 
 
 def address(server: HttpServer) -> tuple[str, int]:
-    """Where it listens."""
+    """Return its address."""
     parts = urlsplit(server.url)
     assert parts.hostname is not None
     assert parts.port is not None
@@ -33,7 +33,7 @@ def address(server: HttpServer) -> tuple[str, int]:
 def get(
     server: HttpServer, path: str, method: str = "GET", body: bytes | None = None, **headers: str
 ) -> tuple[int, Mapping[str, str], bytes]:
-    """One request: status, headers (names in small letters) and body."""
+    """Make one request; return status, headers (names in lower case) and body."""
     connection = http.client.HTTPConnection(*address(server), timeout=WAIT_S)
     try:
         connection.request(method, path, body, headers)
@@ -44,14 +44,14 @@ def get(
 
 
 def open_raw(server: HttpServer, sent: bytes = b"") -> socket.socket:
-    """A connection on which these bytes were sent."""
+    """Open a connection and send these bytes."""
     connection = socket.create_connection(address(server), WAIT_S)
     connection.sendall(sent)
     return connection
 
 
 def rest(connection: socket.socket) -> bytes:
-    """All that comes until the other side closes."""
+    """Return all bytes until the other side closes."""
     found = b""
     try:
         while piece := connection.recv(65536):

@@ -1,4 +1,4 @@
-"""`roughmap serve` as a process, for tests of what stands before it: the command line and the README."""
+"""`roughmap serve` as a process, for tests of its clients: the command line and the README."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +13,7 @@ from roughmap_service.cli.demo.processes import ServiceProcess
 
 @contextmanager
 def live_service(folder: Path, settings: str = "") -> Iterator[ServiceProcess]:
-    """A service with `settings` (TOML without zenoh, log, http and service), once it is ready; `endpoints` are its own.
+    """Run a service with `settings` (TOML without zenoh, log, http and service); yield it once it is ready.
 
     At the end it must stop in order.
     """
@@ -29,16 +29,16 @@ def live_service(folder: Path, settings: str = "") -> Iterator[ServiceProcess]:
 
 @contextmanager
 def decisions(service: ServiceProcess, map_name: str = "site") -> Iterator[Gathered[IntegrationEvent]]:
-    """What the service decides on clouds from now on, gathered as it comes."""
-    heard: Gathered[IntegrationEvent] = Gathered()
+    """Gather the service's decisions on clouds from now on."""
+    gathered: Gathered[IntegrationEvent] = Gathered()
 
     def take(sample: zenoh.Sample) -> None:
         event: Event = decode_event(sample.payload.to_bytes())
         if isinstance(event, IntegrationEvent):
-            heard(event)
+            gathered(event)
 
     with zenoh.open(peer_config(connect=service.endpoints)) as session:
         session.declare_subscriber(f"maps/{map_name}/events", take)
-        # An answer shows that the service has what was declared before the question, on the same link.
+        # An answer shows that the service knows what was declared before the query, on the same link.
         assert list(session.get(f"maps/{map_name}/status", timeout=WAIT_S)), "the service does not answer"
-        yield heard
+        yield gathered

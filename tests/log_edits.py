@@ -1,4 +1,4 @@
-"""A log changed by hand, as nobody should: messages of a file replaced or left out, the file whole again."""
+"""Edits of a log file: messages replaced or left out, in a file that is otherwise valid."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,11 +11,11 @@ from roughmap_schemas.run_metadata import RECORD_NAME
 from roughmap_service.journal.reader import raw_records
 
 Edit = Callable[[str, bytes], bytes | None]
-"""Topic and payload to the payload that stands there instead, None for none."""
+"""Maps a topic and its payload to the new payload; None removes the message."""
 
 
 def rewrite(path: Path, edit: Edit = lambda _topic, data: data, **changes: object) -> None:
-    """Write a log file anew with its messages edited and ``changes`` in its metadata."""
+    """Rewrite a log file with its messages edited and ``changes`` in its metadata."""
     records = [record for record, _ in raw_records(path)]
     with path.open("wb") as stream:
         writer = Writer(stream)
@@ -42,7 +42,7 @@ def rewrite(path: Path, edit: Edit = lambda _topic, data: data, **changes: objec
 
 
 def nth(topic_end: str, n: int, change: Callable[[bytes], bytes | None]) -> Edit:
-    """An edit of the ``n``-th message, from 0, of the topics that end so."""
+    """Return an edit of the ``n``-th message, from 0, of the topics that end with ``topic_end``."""
     seen = -1
 
     def edit(topic: str, data: bytes) -> bytes | None:

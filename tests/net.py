@@ -12,12 +12,14 @@ import zenoh
 T = TypeVar("T")
 
 WAIT_S = 30.0
-"""How long a test waits for something that ought to happen at once: long enough for a loaded machine."""
+"""How long a test waits for something that normally happens at once: long enough for a loaded machine."""
 
 
 def peer_config(listen: bool = False, connect: list[str] | None = None, **settings: Any) -> zenoh.Config:
-    """A peer that hears of nobody by itself. `listen` takes a free port on loopback; `settings` are further zenoh
-    settings, with `__` for `/`."""
+    """Return the configuration of a peer without scouting.
+
+    `listen`: on a free port on loopback. `settings`: further Zenoh settings, with `__` for `/`.
+    """
     config = zenoh.Config()
     chosen: dict[str, Any] = {
         "mode": "peer",
@@ -35,7 +37,7 @@ def peer_config(listen: bool = False, connect: list[str] | None = None, **settin
 
 
 def locators(session: zenoh.Session) -> list[str]:
-    """The endpoints, with real ports, that a listening session can be reached at (told by its admin space)."""
+    """Return the endpoints of a listening session, with real ports, from its admin space."""
     for reply in session.get(f"@/{session.zid()}/peer", timeout=WAIT_S):
         if reply.ok is not None:
             return [str(locator) for locator in json.loads(reply.ok.payload.to_bytes())["locators"]]
@@ -44,14 +46,14 @@ def locators(session: zenoh.Session) -> list[str]:
 
 @contextmanager
 def open_listener() -> Iterator[tuple[zenoh.Session, list[str]]]:
-    """A listening session and its endpoints."""
+    """Open a listening session; yield it and its endpoints."""
     with zenoh.open(peer_config(listen=True)) as session:
         yield session, locators(session)
 
 
 @contextmanager
 def open_pair() -> Iterator[tuple[zenoh.Session, zenoh.Session]]:
-    """Two sessions joined over loopback TCP: the one that listens, the one that connected."""
+    """Open two sessions joined over loopback TCP; yield the listening and the connected one."""
     with ExitStack() as stack:
         first, endpoints = stack.enter_context(open_listener())
         second = stack.enter_context(zenoh.open(peer_config(connect=endpoints)))
@@ -59,7 +61,7 @@ def open_pair() -> Iterator[tuple[zenoh.Session, zenoh.Session]]:
 
 
 def wait_for(event: threading.Event, what: str, timeout: float = WAIT_S) -> None:
-    """Waits for an event and fails by name if it doesn't come."""
+    """Wait for an event; fail with its name if it doesn't come."""
     assert event.wait(timeout), f"waited {timeout:g} s in vain for {what}"
 
 
@@ -73,14 +75,14 @@ def wait_until(condition: Callable[[], T], what: str, timeout: float = WAIT_S) -
 
 
 class Gathered(Generic[T]):
-    """What a callback was called with; waits for a condition on it."""
+    """A callback that keeps its arguments, and can wait for a condition on them."""
 
     def __init__(self) -> None:
         self._items: list[T] = []
         self._condition = threading.Condition()
 
     def __call__(self, item: T) -> None:
-        """The callback."""
+        """Take an item."""
         with self._condition:
             self._items.append(item)
             self._condition.notify_all()
@@ -92,7 +94,7 @@ class Gathered(Generic[T]):
             return list(self._items)
 
     def wait(self, condition: Callable[[list[T]], bool], what: str, timeout: float = WAIT_S) -> list[T]:
-        """Waits until `condition(items)` holds and gives the items."""
+        """Wait until `condition(items)` is true; return the items."""
         with self._condition:
             assert self._condition.wait_for(lambda: condition(self._items), timeout), (
                 f"waited {timeout:g} s in vain for {what}; came: {self._items!r:.400}"

@@ -1,4 +1,4 @@
-"""`roughmap serve` as a process of its own: started, fed, asked, ended, and its log read back.
+"""`roughmap serve` as a process: start, feed, query and stop it, and read its log.
 
 Every wait is bounded and on an event; the service listens on a port that the system chooses, on loopback.
 """
@@ -44,16 +44,16 @@ READY_S = 200.0
 """A first start compiles every kernel, on what may be a slow and busy machine."""
 
 STOP_S = 20.0
-"""Twice the default shutdown_timeout and some: past it the service hangs."""
+"""More than twice the default shutdown_timeout: past it the service hangs."""
 
 T0 = 1_700_000_000 * 10**9
-"""Where the stamps of tests begin, in ns: no wall clock is near, and none must be needed."""
+"""First stamp of the tests, in ns. It is far from the wall clock, which must not matter."""
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 """The quaternion of no rotation."""
 
 PRECISE = np.eye(6) * 1e-6
-"""A pose covariance of a millimetre and a milliradian: cells are hit where they are aimed at."""
+"""A pose covariance of a millimetre and a milliradian, so that points hit the intended cells."""
 
 GROUND = np.array([[1.0, 0.0, -0.5], [1.5, 0.5, -0.4], [2.0, -0.5, -0.6], [1.2, 0.3, -0.5]])
 """A small cloud in front of a sensor."""
@@ -62,19 +62,19 @@ COMMAND = (sys.executable, "-m", "roughmap_service.cli.main")
 
 
 def toml(sections: Mapping[str, Any], prefix: str = "") -> str:
-    """TOML of nested tables of strings, numbers, booleans and lists, whose forms JSON shares."""
+    """Return nested tables of strings, numbers, booleans and lists as TOML; JSON writes these values alike."""
     plain = "".join(f"{k} = {json.dumps(v)}\n" for k, v in sections.items() if not isinstance(v, Mapping))
     tables = "".join(toml(v, f"{prefix}{k}.") for k, v in sections.items() if isinstance(v, Mapping))
     return (f"[{prefix[:-1]}]\n" if prefix and (plain or not sections) else "") + plain + tables
 
 
 def environment() -> dict[str, str]:
-    """This environment without settings that would reach into the service."""
+    """Return this environment without settings that would change the service."""
     return {name: value for name, value in os.environ.items() if not name.startswith("ROUGHMAP_")}
 
 
 def configuration(directory: Path, settings: Mapping[str, Any]) -> Path:
-    """A configuration file in ``directory``: the tests' defaults with ``settings`` over them, section by section."""
+    """Write a configuration file in ``directory``: the tests' defaults, overridden by ``settings``."""
     sections: dict[str, Any] = {
         "zenoh": {"listen": ["tcp/127.0.0.1:0"]},
         "log": {"directory": str(directory / "log")},
@@ -91,7 +91,7 @@ def configuration(directory: Path, settings: Mapping[str, Any]) -> Path:
 
 
 class Service:
-    """One `roughmap serve`; a context manager that kills it if it is still there at the end.
+    """One `roughmap serve`; a context manager that kills it if it still runs at the end.
 
     ``settings`` are sections over the tests' defaults: ``Service(tmp, map={"cell_size": 0.2})``; ``environ`` is added
     to the environment.
@@ -109,7 +109,7 @@ class Service:
         )  # fmt: skip
         self.out: list[str] = []
         self.err: list[str] = []
-        self._told = threading.Event()
+        self._ready = threading.Event()
         self._said = threading.Condition()
         self._readers = [
             threading.Thread(target=self._read, args=(self.process.stdout, self.out), daemon=True),
@@ -124,40 +124,40 @@ class Service:
                 lines.append(line.rstrip("\n"))
                 self._said.notify_all()
             if lines is self.out:
-                self._told.set()
+                self._ready.set()
         if lines is self.out:
-            self._told.set()
+            self._ready.set()
 
     def ready(self) -> dict[str, Any]:
-        """The ready line, once it came."""
-        wait_for(self._told, "the ready line", READY_S)
+        """Wait for the ready line and return it."""
+        wait_for(self._ready, "the ready line", READY_S)
         if not self.out:
             self.finished()
             raise AssertionError("the service ended before it was ready: " + "\n".join(self.err))
         line: dict[str, Any] = json.loads(self.out[0])
         return line
 
-    def told(self, text: str, seconds: float = WAIT_S) -> str:
-        """The first line on stderr that holds ``text``, once it came."""
+    def line(self, text: str, seconds: float = WAIT_S) -> str:
+        """Wait for a line on stderr that holds ``text``; return the first one."""
         with self._said:
             found = self._said.wait_for(lambda: [line for line in self.err if text in line], seconds)
             assert found, f"waited {seconds:g} s in vain for a line with {text!r}"
             return found[0]
 
     def finished(self, seconds: float = STOP_S) -> int:
-        """Wait for the end; the exit code, with all output read."""
+        """Wait for the end and read all output; return the exit code."""
         code = self.process.wait(seconds)
         for reader in self._readers:
             reader.join(WAIT_S)
         return code
 
     def stop(self, number: signal.Signals = signal.SIGTERM) -> int:
-        """Ask it to end, and wait for that; the exit code."""
+        """Send a signal and wait for the end; return the exit code."""
         self.process.send_signal(number)
         return self.finished()
 
     def kill(self) -> None:
-        """End it as a power cut would, as far as a process can be."""
+        """Kill it with SIGKILL."""
         self.process.kill()
         self.finished()
 
@@ -176,7 +176,7 @@ class Service:
 
 
 class Feed:
-    """One session with a service: publishes, hands in, asks, and gathers the events that the service publishes."""
+    """One session with a service: publishes, ingests, queries, and gathers the events that the service publishes."""
 
     def __init__(self, session: zenoh.Session, map_name: str = "site") -> None:
         self.session = session
@@ -196,24 +196,24 @@ class Feed:
         self.session.put(f"robots/{robot}/{kind}", payload, **options)
 
     def ingest(self, kind: str, robot: str, payload: bytes) -> Receipt:
-        """Hand a message in and wait for its receipt."""
+        """Ingest a message and wait for its receipt."""
         return self.client.ingest(payload, robot, kind=kind)  # type: ignore[arg-type]
 
     def refused(self, kind: str, robot: str, payload: bytes | None, encoding: str | None = None) -> str:
-        """Hand a message in that must not be taken; the code of the one error reply."""
+        """Ingest a message that must be refused; return the code of the one error reply."""
         key = f"maps/{self.map}/ingest/{robot}/{kind}"
         with pytest.raises(QueryRefused) as refusal:
             ask(self.session, key, timeout=WAIT_S, payload=payload, encoding=encoding).single()
         return refusal.value.code
 
-    def send(self, kind: str, robot: str, payload: bytes, told: Callable[[Receipt | str], None]) -> None:
-        """Hand a message in without waiting: ``told`` gets the receipt, or the code of a refusal, if either comes."""
+    def send(self, kind: str, robot: str, payload: bytes, answered: Callable[[Receipt | str], None]) -> None:
+        """Ingest a message without waiting: ``answered`` gets the receipt or the code of a refusal, if any."""
 
         def reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
-                told(Receipt.model_validate_json(reply.ok.payload.to_bytes()))
+                answered(Receipt.model_validate_json(reply.ok.payload.to_bytes()))
             elif reply.err is not None and reply.err.payload.to_bytes() != b"Timeout":  # Zenoh's own
-                told(QueryError.model_validate_json(reply.err.payload.to_bytes()).code)
+                answered(QueryError.model_validate_json(reply.err.payload.to_bytes()).code)
 
         self.session.get(
             f"maps/{self.map}/ingest/{robot}/{kind}", reply, payload=payload, timeout=WAIT_S,
@@ -221,7 +221,7 @@ class Feed:
         )  # fmt: skip
 
     def cloud(self, robot: str, stamp_ns: int, points: Any = GROUND, frame: str = "lidar", **more: Any) -> int:
-        """Hand a cloud in; its input number."""
+        """Ingest a cloud; return its input number."""
         return self.ingest("points", robot, encode_cloud(points, stamp_ns, frame, **more)).input
 
     def pose(self, robot: str, stamp_ns: int, position: Any = (0.0, 0.0, 0.0), rotation: Any = LEVEL) -> None:
@@ -229,16 +229,16 @@ class Feed:
         self.put("odometry", robot, encode_odometry(stamp_ns, "map", position, rotation, PRECISE))
 
     def settle(self) -> MapStatus:
-        """The status once all that was sent before is taken up, and all that was decided is on the disk.
+        """Return the status once everything sent before is applied, and every decision so far is on disk.
 
-        One link delivers in order, and the sequencer takes in order: the receipt of a message that is sent after the
-        rest (a duplicate, which is neither logged nor counted) comes after them.
+        A link and the sequencer keep the order. So the receipt of a message that is sent after the rest (a duplicate,
+        which is neither logged nor counted) comes after them.
         """
         assert self.ingest("odometry", "settle", self._settle).duplicate
         return self.client.status()
 
     def decided(self, number: int) -> IntegrationEvent:
-        """The event of the cloud with that input number, once it is published."""
+        """Wait for the event of the cloud with that input number; return it."""
 
         def found(events: list[Event]) -> list[IntegrationEvent]:
             return [e for e in events if isinstance(e, IntegrationEvent) and e.input == number]
@@ -246,7 +246,7 @@ class Feed:
         return found(self.events.wait(lambda events: bool(found(events)), f"the event of input {number}"))[0]
 
     def wait_integrations(self, number: int) -> list[IntegrationEvent]:
-        """The clouds' events, once so many came."""
+        """Wait for ``number`` events of clouds; return all."""
 
         def found(events: list[Event]) -> list[IntegrationEvent]:
             return [e for e in events if isinstance(e, IntegrationEvent)]
@@ -256,7 +256,7 @@ class Feed:
 
 @contextmanager
 def connected(service: Service, map_name: str = "site") -> Iterator[Feed]:
-    """A session with a service, once it is ready."""
+    """Wait until a service is ready; yield a session with it."""
     endpoints = service.ready()["endpoints"]
     with zenoh.open(peer_config(connect=endpoints)) as session:
         yield Feed(session, map_name)
@@ -264,7 +264,7 @@ def connected(service: Service, map_name: str = "site") -> Iterator[Feed]:
 
 @contextmanager
 def running(directory: Path, **settings: Mapping[str, Any]) -> Iterator[tuple[Service, Feed]]:
-    """A service and a session with it. At the end it must stop in order, and its log must replay as equal."""
+    """Run a service; yield it and a session with it. It must stop in order, and its log must replay as equal."""
     with ExitStack() as stack:
         service = stack.enter_context(Service(directory, **settings))
         feed = stack.enter_context(connected(service))
@@ -276,7 +276,7 @@ def running(directory: Path, **settings: Mapping[str, Any]) -> Iterator[tuple[Se
 
 
 def replay(*arguments: Path | str) -> tuple[int, str]:
-    """`roughmap replay` in this process: exit code, and the last line it said."""
+    """Run `roughmap replay` in this process; return the exit code and the last line of output."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = run(["replay", *map(str, arguments)])
@@ -285,7 +285,7 @@ def replay(*arguments: Path | str) -> tuple[int, str]:
 
 @dataclass(frozen=True)
 class Logged:
-    """A message as it lies in the log."""
+    """A message in the log."""
 
     topic: str
     data: bytes
@@ -299,7 +299,7 @@ class Logged:
 
 
 def read_log(directory: Path) -> list[Logged]:
-    """All messages of a folder's files in file order, by mcap's own reader; a file still written to as far as it is."""
+    """Return all messages of a folder's files in file order, by mcap's own reader; an open file may end anywhere."""
     found = []
     for path in sorted(directory.glob("*.mcap")):
         topics: dict[int, str] = {}
@@ -317,10 +317,10 @@ def read_log(directory: Path) -> list[Logged]:
 
 
 def events_in(directory: Path) -> list[Event]:
-    """The log's events in order."""
+    """Return the log's events in order."""
     return [message.event for message in read_log(directory) if message.topic.endswith("/events")]
 
 
 def inputs_in(directory: Path) -> list[Logged]:
-    """The log's inputs in order; the first has number 1."""
+    """Return the log's inputs in order; the first has number 1."""
     return [message for message in read_log(directory) if message.topic.startswith("robots/")]

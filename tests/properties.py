@@ -1,4 +1,4 @@
-"""Hypothesis profiles: `make test` tries the same examples each time, `make test-random` other and more ones."""
+"""Hypothesis profiles: `make test` tries the same examples each time, `make test-random` more and random ones."""
 
 from hypothesis import HealthCheck, settings
 

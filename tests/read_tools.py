@@ -10,7 +10,7 @@ TILE_SHAPE = (TILE_CELLS, TILE_CELLS)
 
 
 def cell_of(heights: Iterable[float], weights: Iterable[float] | None = None, updated: int = 0) -> np.ndarray:
-    """Return the record of a cell with whole points (p = 1) of these heights and weights, by the definitions."""
+    """Return the record of a cell with whole points (p = 1) of these heights and weights, from the definitions."""
     h = np.array(list(heights), dtype=np.float64)
     w = np.ones(len(h)) if weights is None else np.array(list(weights), dtype=np.float64)
     record = np.zeros((), dtype=CELL_DTYPE)

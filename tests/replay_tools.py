@@ -12,7 +12,7 @@ from roughmap_service.store.map_db import Store
 
 
 def replay(*arguments: object) -> tuple[int, str, str]:
-    """`roughmap replay`: exit code, last line on stdout, what stands on stderr."""
+    """Run `roughmap replay`; return the exit code, the last line on stdout, and stderr."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = command(["replay", *map(str, arguments)])
@@ -21,7 +21,7 @@ def replay(*arguments: object) -> tuple[int, str, str]:
 
 
 def refused(outcome: tuple[int, str, str], words: str) -> None:
-    """Exit 2, nothing on stdout, and one last line on stderr that says it."""
+    """Assert exit code 2, nothing on stdout, and ``words`` in the last line on stderr."""
     code, out, err = outcome
     assert (code, out) == (2, "")
     assert words in err.strip().splitlines()[-1]
@@ -29,14 +29,14 @@ def refused(outcome: tuple[int, str, str], words: str) -> None:
 
 
 def drive(run: LoggedRun, first: int = 0, scans: int = 3) -> None:
-    """Some scans, a checkpoint after each."""
+    """Put scans into a run, with a checkpoint after each."""
     for k in range(first, first + scans):
         run.scan(float(k), 0.3 * k)
         run.checkpoint()
 
 
 def three_files(logs: Path) -> LoggedRun:
-    """A run in three files, two scans in each."""
+    """Make a run in three files, two scans in each."""
     with LoggedRun(logs) as run:
         for k in range(3):
             drive(run, 2 * k, 2)
@@ -46,7 +46,7 @@ def three_files(logs: Path) -> LoggedRun:
 
 
 def stored(path: Path) -> RoughMap:
-    """The map of a store."""
+    """Return the map of a store."""
     store, rough_map = Store(path), RoughMap()
     cut = store.read_cut()
     assert cut is not None

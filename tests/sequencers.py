@@ -1,4 +1,4 @@
-"""A sequencer for tests, with as much memory as it takes and no checkpoint or snapshot in its way."""
+"""A sequencer for tests, with ample memory and without periodic checkpoints and snapshots."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,7 +15,7 @@ from roughmap_service.store.spill import Spill
 
 @contextmanager
 def ample_memory(folder: Path) -> Iterator[MemoryLimit]:
-    """As much as one likes."""
+    """Yield a memory limit that is never reached."""
     with Spill(folder / "tiles.spill", 1 << 30) as spill:
         yield MemoryLimit(1 << 40, spill)
 

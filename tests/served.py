@@ -1,4 +1,4 @@
-"""A map behind its queryables on real sessions of one process, for tests of what is answered and of the client."""
+"""A map and its queryables on real sessions of one process, for tests of answers and of the client."""
 
 import threading
 from collections.abc import Callable, Mapping
@@ -26,11 +26,11 @@ T0 = 1_700_000_000 * 10**9
 INSTANCE = "0123456789abcdef" * 2
 RUN = "fedcba9876543210" * 2
 S = np.diag([0.02, 0.02, 0.02]) ** 2
-"""Covariance of all points here: with coverage 2 a body of 8 cm, so that points reach over cells and tiles."""
+"""Covariance of all points here: with coverage 2 an error body of 8 cm, which crosses cells and tiles."""
 
 
 def some_points(number: int = 1500, seed: int = 7, centre: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
-    """(number, 3) on rough ground within 8 m of a place: around the origin tiles -2 to 1 along both axes."""
+    """Return points (number, 3) on rough ground within 8 m of a place; at the origin, in tiles -2 to 1 on both axes."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(-8.0, 8.0, (2, number))
     z = 0.3 * np.sin(x) + 0.1 * y + rng.normal(0.0, 0.02, number)
@@ -49,9 +49,9 @@ def filled(config: Config) -> RoughMap:
 
 @dataclass
 class Served:
-    """A filled map, answered for by `server`; `asker` is a session joined to it over loopback.
+    """A filled map that `server` answers for; `asker` is a session joined to it over loopback.
 
-    `settings` are sections of the configuration; `actions` what `control` carries out.
+    `settings` are sections of the configuration; `actions` are what `control` carries out.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -94,7 +94,7 @@ class Served:
         return self
 
     def _wait_known(self, key: str) -> None:
-        """Wait until the asker has heard of a queryable; of all that were declared before, it has heard then too."""
+        """Wait until the asker knows a queryable. It then knows all that were declared before, too."""
         known = threading.Event()
         querier = self.asker.declare_querier(key)
         listener = querier.declare_matching_listener(lambda status: known.set() if status.matching else None)
@@ -115,13 +115,13 @@ class Served:
             self.recorded.notify_all()
 
     def add(self, points: np.ndarray, stamp_ns: int = T0 + 100 * 10**9) -> int:
-        """One more scan; the sequence that it makes."""
+        """Add a scan; return the map's new sequence."""
         with self.view.change() as rough_map:
             rough_map.add(points, S, stamp_ns)
             return rough_map.sequence
 
     def reset(self) -> tuple[int, int]:
-        """As the sequencer does it."""
+        """Reset the map as the sequencer does."""
         with self.view.change() as rough_map:
             self.resets.note(rough_map)
             rough_map.reset()

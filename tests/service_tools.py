@@ -1,4 +1,4 @@
-"""A run without a network: messages made, logged, decided and applied as the sequencer does it, and read back."""
+"""A run without a network: messages are logged, decided and applied as the sequencer does it, and read back."""
 
 import shutil
 import uuid
@@ -43,20 +43,20 @@ from roughmap_service.store.snapshots import Snapshots, cut_of
 from roughmap_service.store.spill import Spill
 
 T0 = 1_700_000_000 * 10**9
-"""Where the stamps of tests begin, in ns."""
+"""First stamp of the tests, in ns."""
 
 SECOND = 10**9
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 PRECISE = np.eye(6) * 1e-6
 WAIT_S = 30.0
-"""How long a test waits for something that ought to happen at once."""
+"""How long a test waits for something that normally happens at once."""
 
 GROUND = np.array([[1.0, 0.0, -0.5], [1.5, 0.5, -0.4], [2.0, -0.5, -0.6], [1.2, 0.3, -0.5]])
 """A small cloud in front of a sensor."""
 
 
 def config(**sections: Any) -> Config:
-    """The tests' configuration with ``sections`` over it."""
+    """Return the tests' configuration, overridden by ``sections``."""
     values: dict[str, Any] = {"sensors": {"lidar": {"range_sigma": 0.01}}}
     for name, given in sections.items():
         values[name] = {**values.get(name, {}), **given}
@@ -64,7 +64,7 @@ def config(**sections: Any) -> Config:
 
 
 def metadata(**values: Any) -> RunMetadata:
-    """The beginning of a run's first file."""
+    """Return the metadata of a run's first file."""
     given: dict[str, Any] = {
         "run": "0123456789abcdef" * 2,
         "created_ns": T0,
@@ -82,25 +82,25 @@ def metadata(**values: Any) -> RunMetadata:
 
 
 def odometry(t: float, x: float = 0.0, frame: str = "map", y: float = 0.0) -> bytes:
-    """A level pose ``t`` seconds after T0."""
+    """Return a level pose ``t`` seconds after T0."""
     return encode_odometry(T0 + round(t * SECOND), frame, (x, y, 1.0), LEVEL, PRECISE)
 
 
 def cloud(t: float, shift: float = 0.0, frame: str = "lidar", points: np.ndarray = GROUND) -> bytes:
-    """A cloud ``t`` seconds after T0, its points moved by ``shift`` along x."""
+    """Return a cloud ``t`` seconds after T0, its points moved by ``shift`` along x."""
     return encode_cloud(points + np.array([shift, 0.0, 0.0]), T0 + round(t * SECOND), frame)
 
 
 def transform(t: float, x: float = 0.0, child: str = "odom") -> bytes:
-    """Where the frame ``child`` lies in the map from ``t`` seconds after T0 on."""
+    """Return the transform of the frame ``child`` in the map from ``t`` seconds after T0 on."""
     return encode_transform(T0 + round(t * SECOND), "map", child, (x, 0.0, 0.0), LEVEL)
 
 
 class LoggedRun:
-    """A live run without threads of its own: what is put is accepted at once, what is due is decided when asked.
+    """A live run without a sequencer's thread: `put` accepts a message at once, `decide` decides what is due.
 
-    It goes on from ``recovered`` (None: a new run); a context manager that closes its log. Messages arrive at monotonic
-    time 0.0, and `decide` says which time it is.
+    It continues from ``recovered`` (None: a new run). A context manager that closes its log. Messages arrive at
+    monotonic time 0.0; `decide` takes the current time.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class LoggedRun:
         self.run.resume(0.0)
 
     def put(self, kind: Kind, payload: bytes, robot: str = "rover") -> int:
-        """Log an input and take it up; its number."""
+        """Log an input and apply it; return its number."""
         number = self.live.accept(InputMessage(kind, robot, payload, T0, 0.0), 0.0)
         assert number is not None, "refused"
         return number
@@ -155,7 +155,7 @@ class LoggedRun:
         return done
 
     def log_event(self, event: Event) -> None:
-        """Log an event, whether it is true or not."""
+        """Log an event, true or not."""
         self.run.record += 1
         self.recorder.event(event, T0)
 
@@ -172,23 +172,23 @@ class LoggedRun:
         return event
 
     def rotate(self) -> None:
-        """Checkpoint, and go on in a new file."""
+        """Checkpoint, and continue in a new file."""
         self.checkpoint()
         self.writer.put(Rotate(self.run.map.digest()))
 
     def scan(self, t: float, x: float = 0.0, robot: str = "rover") -> IntegrationEvent:
-        """A pose before and one after a cloud, and the cloud decided."""
+        """Put a pose, a cloud and a later pose; decide the cloud."""
         self.put(Kind.ODOMETRY, odometry(t, x), robot)
         self.put(Kind.POINTS, cloud(t + 0.05), robot)
         self.put(Kind.ODOMETRY, odometry(t + 0.1, x + 0.1), robot)
         return self.decide()[-1]
 
     def cut(self) -> Cut:
-        """Where the run stands."""
+        """Return the run's current cut."""
         return cut_of(self.run_id, self.config, self.run)
 
     def snapshot(self) -> None:
-        """Store the run's cut, and wait until it is there."""
+        """Store the run's cut, and wait for it."""
         thread = self.snapshots.offer(self.cut)
         assert thread is not None
         thread.join(WAIT_S)
@@ -196,7 +196,7 @@ class LoggedRun:
         assert not self.snapshots.error
 
     def killed(self, where: Path) -> Path:
-        """What a kill at this moment would leave, with all that was logged on the disk: a copy of the log folder."""
+        """Copy the log folder as a kill at this moment would leave it, with everything logged so far on disk."""
         assert self.writer.wait_synced(WAIT_S)
         return Path(shutil.copytree(self.directory, where))
 
@@ -212,20 +212,20 @@ class LoggedRun:
 
 
 def read_back(*paths: Path) -> list[LogItem]:
-    """All items of the run in these folders."""
+    """Return all items of the run in these folders."""
     return list(read_run(one_run(find_files(paths))))
 
 
 def inputs_of(items: Iterable[LogItem]) -> list[InputRecord]:
-    """The inputs among them."""
+    """Return the inputs among them."""
     return [item for item in items if isinstance(item, InputRecord)]
 
 
 def events_of(items: Iterable[LogItem]) -> list[Event]:
-    """The events among them."""
+    """Return the events among them."""
     return [item.event for item in items if isinstance(item, EventRecord)]
 
 
 def starts_of(items: Iterable[LogItem]) -> list[FileStart]:
-    """The file beginnings among them."""
+    """Return the file starts among them."""
     return [item for item in items if isinstance(item, FileStart)]

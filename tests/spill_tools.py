@@ -1,4 +1,4 @@
-"""A map whose tiles leave memory for a file, and what is seen of it."""
+"""A map whose tiles leave memory for a file, and its content."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ FAR = [[1001.0, 1.0, 0.0]]
 
 
 def ground(seed: int, number: int = 600, reach: float = 18.0) -> np.ndarray:
-    """(number, 3) on a slope with bumps, over up to 6 x 6 tiles."""
+    """Return points (number, 3) on a slope with bumps, over up to 6 x 6 tiles."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(-reach, reach, (2, number))
     return np.column_stack([x, y, 0.1 * x + 0.2 * np.sin(y) + rng.normal(0, 0.02, number)])
@@ -24,7 +24,7 @@ def filled(spill: Spill | None = None) -> RoughMap:
 
 
 def leave(rough_map: RoughMap, number: int | None = None) -> int:
-    """Take tiles out of memory (None: all but those that the last call needed); how many left."""
+    """Move tiles out of memory (None: all but those that the last call needed); return how many left."""
     before = rough_map.resident_tiles
     if number is None:
         table = rough_map._table
@@ -39,14 +39,14 @@ def leave(rough_map: RoughMap, number: int | None = None) -> int:
 
 
 def leave_all(rough_map: RoughMap) -> None:
-    """All but one far tile, which the last call wrote."""
+    """Move all tiles out of memory but a far one, which this call adds."""
     rough_map.add(FAR, S, 10**9)
     leave(rough_map)
     assert rough_map.resident_tiles == 1
 
 
 def tiles_of(rough_map: RoughMap, level: int = 0) -> dict[tuple[int, int], tuple[bytes, int, tuple[int, int]]]:
-    """Records, sequences and stamps."""
+    """Return the records, sequence and stamps of each tile."""
     with rough_map.freeze(level) as frozen:
         return {
             (x, y): (frozen.records(x, y).tobytes(), int(sequence), frozen.stamps(x, y))

@@ -1,4 +1,4 @@
-"""A map grown point by point, read cell by cell and compared with the batch builder's."""
+"""Comparison of a map built point by point with the batch method's, cell by cell."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -10,7 +10,7 @@ from roughmap.reading.layers import LAYERS
 from roughmap.reference.batch import BatchMap
 
 EXACT = ("max_height", "min_height", "range", "mid_range_height", "count", "age")
-"""Layers that agree to the bit: they are selected, or one difference or sum of the same two numbers."""
+"""Layers that agree to the bit: each is one of the heights, or one difference or sum of the same two numbers."""
 
 
 def compare(m: RoughMap, b: BatchMap, height: float, **options: object) -> None:

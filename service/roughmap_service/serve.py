@@ -1,4 +1,4 @@
-"""The service: wiring only. Parts start in the order in which they need each other and end the other way round."""
+"""The service: wiring only. Each part starts after the parts that it needs; they stop in reverse order."""
 
 import logging
 import threading
@@ -56,7 +56,7 @@ SPILL_NAME = "tiles.spill"
 """The spill file in the log's directory, if map.spill_path names no other."""
 
 LOOK_SECONDS = 0.5
-"""How often the main thread looks whether a part has failed or hangs."""
+"""How often the main thread checks whether a part has failed or hangs."""
 
 
 class ServeError(ReportedError):
@@ -66,7 +66,7 @@ class ServeError(ReportedError):
 
 
 class ServiceFailed(ReportedError):
-    """The service can't go on; one line that names the cause."""
+    """The service can't continue; one line that names the cause."""
 
 
 def serve(
@@ -81,7 +81,7 @@ def serve(
     """Serve one map until ``stop`` is set; ``announce`` is called once, when the service is ready.
 
     ``insecure`` allows a session that anyone on the network can join. Raises ServeError, TransportError, LogError,
-    StoreError, IdentityError, ... if the service can't start, ServiceFailed if it can't go on; each is one line.
+    StoreError, IdentityError, ... if the service can't start, ServiceFailed if it can't continue; each is one line.
     """
     config = loaded.config
     keys = Keys(config.map.name, config.keys)
@@ -97,7 +97,7 @@ def serve(
         session = stack.enter_context(open_session(session_config))
         instance = uuid.uuid4().hex
         token, others = claim(session, keys, instance, config.service.alive_wait, stop)
-        stack.callback(token.undeclare)  # last of all: who waits for it may open the log as soon as it is gone
+        stack.callback(token.undeclare)  # last: another instance that waits for it may open the log at once
         if others and not stop.is_set():
             raise ServeError(f"map {config.map.name!r} is served already, by {', '.join(others)}; stop that one first")
         keep_freed(config.map.memory_limit)
@@ -127,7 +127,7 @@ def serve(
 
 
 class Service:
-    """A recovered map that is served: messages come in, readers are answered, the log is written. A context manager."""
+    """A recovered map and the running parts that serve it. A context manager."""
 
     def __init__(
         self,
@@ -159,7 +159,7 @@ class Service:
         self._log_is_whole = self._sequencer_ended = True
 
     def __enter__(self) -> Self:
-        with ExitStack() as stack:  # what has started ends if a later part can't start
+        with ExitStack() as stack:  # stops the started parts if a later one can't start
             self._open_log(stack)
             self._start_sequencer(stack)
             self._start_answers(stack)
@@ -175,7 +175,7 @@ class Service:
         self._stack.__exit__(kind, error, trace)
 
     def run_until(self, stop: threading.Event) -> None:
-        """Look after the parts until ``stop`` is set. ServiceFailed if one can't go on."""
+        """Check the parts until ``stop`` is set. ServiceFailed if one can't continue."""
         while not stop.wait(LOOK_SECONDS):
             self._parts.watch()
             if not self._sequencer.alive:
@@ -185,7 +185,7 @@ class Service:
         self._queue.close()
 
     def check_kept(self) -> None:
-        """ServiceFailed if the end lost anything; call it after the service has ended."""
+        """Raise ServiceFailed if the shutdown lost anything; call this after the service has stopped."""
         if not self._log_is_whole:
             raise ServiceFailed(f"the end of the log is lost: {self._writer.error or 'the disk was not fast enough'}")
         if self._memory.spill.failure:
@@ -242,7 +242,7 @@ class Service:
         self._snapshots.offer(lambda: cut_of(self._run_id, self._config, self._run))
 
     def _end_sequencer(self) -> None:
-        """Place what can be placed, checkpoint, snapshot. The log's footer comes after this and needs time too."""
+        """Place what can be placed, checkpoint, snapshot. The log's footer is written after this and needs time too."""
         ending, snapshots = self._ending, self._snapshots
         self._sequencer_ended = self._sequencer.stop(ending.left(0.5))
         self._view.wake()
@@ -280,7 +280,7 @@ class Service:
         )
 
     def _let_messages_in(self, stack: ExitStack) -> None:
-        stack.callback(self._queue.close)  # after the subscribers are gone; refuses what still comes
+        stack.callback(self._queue.close)  # after the subscribers are gone; refuses further messages
         limit = self._config.input.max_message
         stack.enter_context(ZenohInputs(self._session, self._keys, self._queue, self._receipts, limit, self._counters))
 

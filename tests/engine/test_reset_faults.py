@@ -121,5 +121,5 @@ def test_a_reset_that_is_not_on_the_disk_at_the_end_is_not_told_as_done(tmp_path
         wait_for(service.disk.failed, "the disk to refuse the reset")
         assert sequencer.stop(WAIT_S)
         asking.join(WAIT_S)
-        assert told == ["the service ends; the next start carries the reset out if it reached the disk"]
+        assert told == ["the service is stopping; the next start carries out the reset if it reached the disk"]
         service.disk.broken = False

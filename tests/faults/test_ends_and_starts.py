@@ -82,7 +82,7 @@ def test_a_signal_on_the_way_up_is_heard(tmp_path: Path) -> None:
         sequence = run.run.map.sequence
     before = sorted(path.name for path in (tmp_path / "log").glob("*.mcap"))
     with Service(tmp_path) as service:
-        service.told("rebuilding the map from the log", 100.0)
+        service.line("rebuilding the map from the log", 100.0)
         assert service.stop() == 0
         assert service.out == [], "it was not ready"
     assert sorted(path.name for path in (tmp_path / "log").glob("*.mcap")) == before
@@ -155,7 +155,7 @@ def test_a_second_signal_ends_it_at_once(tmp_path: Path, shim: Shim) -> None:
         feed.ingest("points", "r1", spread(1, 10))
         shim.set("hang", 1)
         service.process.send_signal(signal.SIGTERM)
-        service.told("shutting down")
+        service.line("shutting down")
         service.process.send_signal(signal.SIGINT)
         assert service.finished() == 1
     assert not any("shutdown_timeout" in line for line in service.err)

@@ -73,7 +73,7 @@ def test_a_signal_ends_it_in_order(tmp_path: Path, number: signal.Signals) -> No
 
 def test_a_signal_is_heeded_from_the_first_line_on(tmp_path: Path) -> None:
     with Service(tmp_path) as service:
-        service.told("roughmap")
+        service.line("roughmap")
         assert service.stop() == 0
         assert service.out == []
         assert "shut down in order on SIGTERM" in service.err[-1]

@@ -1,7 +1,7 @@
 """The one writer: the thread that numbers messages, decides clouds and changes the map; recovery before it starts.
 
     sequencer.py    the thread and its turns: messages, commands, one cloud, what is due
-    live_run.py     what a turn does: check a message, log it, take it up; decide a cloud, place it, log its event
+    live_run.py     what a turn does: check a message, log it, apply it; decide a cloud, place it, log its event
     control.py      operators' requests: snapshot, reset
     recovery.py     from store and log to the run as it was; newest_run.py: finds and repairs its log files
     warmup.py       compiles kernels before the first scan

@@ -1,4 +1,4 @@
-"""What an operator may ask for: a snapshot, a reset."""
+"""Operators' requests: snapshot and reset."""
 
 import time
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from roughmap_service.engine.sequencer import Sequencer
 from roughmap_service.store.snapshots import Snapshots
 
 TIMEOUT_SECONDS = 30.0
-"""How long an operator's request may take: writing millions of tiles takes seconds, a disk that hangs does not end."""
+"""How long an operator's request may take: writing millions of tiles takes seconds, and a disk may hang."""
 
 
 class Control:
@@ -20,7 +20,7 @@ class Control:
         self._cut = cut
 
     def snapshot(self) -> tuple[int, int]:
-        """Store the map as it is now; returns the (sequence, epoch) that is stored."""
+        """Store the map as it is now. Return the stored (sequence, epoch)."""
         if not self._snapshots.enabled:
             raise QueryFault(QueryCode.BAD_KEY, "this service has no store (store.path)")
         wanted = self._sequencer.live.run.map.sequence
@@ -35,7 +35,7 @@ class Control:
         return self._snapshots.sequence, self._sequencer.live.view.epoch
 
     def reset(self) -> tuple[int, int]:
-        """Empty the map; returns the (sequence, epoch) that begin with it."""
+        """Empty the map. Return the new (sequence, epoch)."""
         done: list[tuple[int, int]] = []
         self._sequencer.call(lambda: done.append(self._sequencer.reset()), TIMEOUT_SECONDS)
         return done[0]

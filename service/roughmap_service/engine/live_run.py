@@ -1,4 +1,4 @@
-"""A run that goes on: messages are logged before they count, and events before anyone can see what they did."""
+"""The live run: messages are logged before they are applied, and events before readers can see their effect."""
 
 import logging
 import time
@@ -60,7 +60,7 @@ class LiveRun:
         self._checkpoint_sequence = 0
 
     def accept(self, message: InputMessage, now: float) -> int | None:
-        """Check a message, log it and take it up; returns its input number.
+        """Check a message, log it and apply it. Return its input number.
 
         A message that is refused (None) or was logged before is counted, and answered if it was ingested. ``now`` as
         for `decide`.
@@ -95,7 +95,7 @@ class LiveRun:
             message.reply.refuse(fault)
 
     def advance(self, now: float) -> bool:
-        """Decide at most one cloud; before it, end all clouds that are due to end, so that they don't pile up."""
+        """Reject all clouds that the inbox has given up, so that they don't pile up; then decide at most one cloud."""
         while self.run.inbox.ended and self.decide(now) is not None:
             pass
         return self.decide(now) is not None
@@ -103,8 +103,8 @@ class LiveRun:
     def decide(self, now: float) -> IntegrationEvent | None:
         """Decide at most one cloud; none while the log can't be written.
 
-        ``now`` (monotonic s): all messages that arrived before it are taken up, so no cloud ends for want of poses that
-        only wait behind it.
+        ``now`` (monotonic s): all messages that arrived before it have been applied. So no cloud is rejected while its
+        poses are still queued behind it.
         """
         if not self._writer.wait_room(0.0):
             return None
@@ -150,9 +150,11 @@ class LiveRun:
             self._publish_event(encode_event(event))
 
     def _decide_before(self, robot: str, stamp_ns: int, now: float) -> None:
-        """Decide clouds that a pose of this stamp would make late though they have their poses and only wait for their
-        turn, so that a recording can be fed faster than it was made. It must come before the pose is logged: a replay
-        forgets old poses at the same place."""
+        """Decide clouds that have their poses but would become late by a pose of this stamp.
+
+        So a recording can be played faster than it was made. Call this before the pose is logged: a replay forgets old
+        poses at the same place.
+        """
         horizon = stamp_ns - self.run.settings.history_ns
         while self.run.inbox.holds_before(robot, horizon):
             if self.decide(now) is None:
@@ -161,8 +163,8 @@ class LiveRun:
     def _integrate(self, proposal: Proposal) -> IntegrationEvent:
         """Apply a proposal and log the event.
 
-        Readers wait only for the change itself: what it needs from the disk is in memory by then. Without memory for it
-        a cloud ends as `overload`: the map is as before, and no replay places it, even one that has the memory.
+        Readers wait only for the change itself: all tiles that it needs are in memory by then. If memory runs out, the
+        cloud is rejected as `overload` and the map is unchanged. No replay places it, even with enough memory.
         """
         with ExitStack() as held:
             try:
@@ -181,7 +183,7 @@ class LiveRun:
         self._recorder.event(event, time.time_ns())
 
     def _notice(self, robot: str, content: Content, taken: Taken) -> None:
-        """Count what became of a pose, and log what an operator should see."""
+        """Count an accepted or rejected pose, and log what an operator should see."""
         if robot not in self._robots:
             self._robots.add(robot)
             note(logger, logging.INFO, "robot", f"robot {robot}: first message", robot=robot)
@@ -201,7 +203,7 @@ class LiveRun:
             note(logger, logging.WARNING, "jump", text, robot=robot, child_frame_id=content.child_frame_id)
 
     def _acknowledge(self, message: InputMessage, number: int, *, duplicate: bool) -> None:
-        """Answer an ingested message once the log is on the disk through it."""
+        """Answer an ingested message once it is on disk."""
         if message.reply is None:
             if duplicate:
                 self._counters.refuse(Refusal.DUPLICATE)
@@ -213,5 +215,5 @@ class LiveRun:
 
 
 def log_fault(error: str, more: str = "") -> MessageFault:
-    """The refusal of a message while the log can't be written."""
+    """Return the refusal of a message while the log can't be written."""
     return MessageFault(Refusal.LOG_UNAVAILABLE, f"the log can't be written: {error}{more}")

@@ -1,4 +1,4 @@
-"""Which log files a start goes on from: those of the newest run, repaired, complete and of this map."""
+"""Finds the log files from which a start continues: the newest run's, repaired, complete and of this map."""
 
 import logging
 from pathlib import Path
@@ -31,7 +31,7 @@ def newest_run(directory: Path, cut: Cut | None) -> list[RunFile]:
     files: list[RunFile] = []
     unreadable: list[DamagedLog] = []
     last = {path.name.rpartition("-")[0]: path for path in ours}.values()  # of each run
-    for path in ours:  # other files are not ours to change
+    for path in ours:  # other files must not be changed
         # A power cut may have come while the footer was written.
         repair(path, damaged=path in last and is_closed(path) and not has_summary(path))
         if path.exists():  # the repair sets aside a file without content
@@ -63,12 +63,12 @@ def newest_run(directory: Path, cut: Cut | None) -> list[RunFile]:
 
 
 def goes_on(file: RunFile, taken: int, low_water: int) -> bool:
-    """Whether no record is missing between a cut and the file's beginning."""
+    """Return whether no record is missing between a cut and the file's beginning."""
     return file.metadata.first_record <= taken + 1 and file.metadata.first_input <= low_water
 
 
 def check_identity(config: Config, stored: dict[str, object], where: Path) -> None:
-    """Raise IdentityError, with both values, for the first setting that would make it another map."""
+    """Raise IdentityError, with both values, for the first setting that would make a different map."""
     try:
         there = Config.from_log(stored)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Recovery at the start: from the store and the log to the run as it was."""
+"""Recovery at a start: rebuilds the run from the store and the log."""
 
 import contextlib
 import logging
@@ -33,17 +33,17 @@ class Stopped(Exception):
 
 @dataclass
 class Recovered:
-    """Where a run goes on.
+    """The state from which a run continues.
 
     Attributes:
         run: the run, with all that the log holds; its undecided clouds wait for `Run.resume`.
         run_id: None for a new run.
         index: of the run's next log file.
-        epoch: with which this start goes on.
+        epoch: the epoch of this start.
         cut: the store's, if there is one.
         was_reset: whether the map was emptied since that cut.
         not_before_ns: the next log file's ``created_ns`` must be at least this, so that this run is the newest in its
-            folder whatever the clock says.
+            folder even if the clock was set back.
         last_ns: log time of the run's last message.
     """
 
@@ -58,7 +58,7 @@ class Recovered:
 
 
 Progress = Callable[[int, int], None]
-"""Called with the number of log files done and the number of all."""
+"""Called with the number of log files that are done, and of all log files."""
 
 
 def recover(
@@ -135,8 +135,8 @@ def _where_the_store_is_ahead(
 ) -> Recovered:
     """Recover from a log that ends before the store's cut.
 
-    The map is the log's if that reaches back to the run's beginning. Otherwise, if the log was damaged, the map is the
-    store's and the log begins again. LogError if files are missing: they can be restored.
+    The map is rebuilt from the log if the log reaches back to the run's beginning. Otherwise, if the log was damaged,
+    the map is the store's and the log begins again. LogError if files are missing: they can be restored.
     """
     text, first = f"the log ends at record {end}, the store's cut is at {cut.record}", files[0]
     if first.metadata.first_record == 1:
@@ -158,7 +158,7 @@ def _where_the_store_is_ahead(
 
 @dataclass(frozen=True, slots=True)
 class _Watch:
-    """What a recovery reports to and is limited by; ``damaged``: the log was cut off at a damage."""
+    """Where a recovery reports progress, and what limits it; ``damaged``: the log was cut off at damage."""
 
     progress: Progress | None
     stop: threading.Event

@@ -25,7 +25,7 @@ IDLE_SECONDS = 0.5
 
 
 class NotFollowed(BaseException):
-    """What the log holds could not be done; the next start does it again.
+    """A logged change could not be carried out; the next start carries it out.
 
     Not an `Exception`: it ends the sequencer and must not pass for an error of the operator's request.
     """
@@ -40,9 +40,9 @@ class Intervals:
 
 
 class Sequencer:
-    """Takes messages from the input queue to the map.
+    """Takes messages from the input queue into the map.
 
-    Each turn: accept all messages that came in, then decide and place one cloud. So under load clouds pile up in the
+    Each turn: accept all messages that arrived, then decide and place one cloud. So under load clouds pile up in the
     inbox, where they are counted, and poses never wait behind them.
     """
 
@@ -63,12 +63,12 @@ class Sequencer:
         self._intervals = intervals
         self._take_snapshot = take_snapshot
         self._before_reset = before_reset
-        self._heard = time.monotonic()  # all messages that arrived before it are taken up
+        self._heard = time.monotonic()  # all messages that arrived before it are applied
         self._next_checkpoint = time.monotonic() + intervals.checkpoint
         self._next_snapshot = time.monotonic() + intervals.snapshot
         self._stopping = threading.Event()
         self.turned = time.monotonic()
-        """When the last turn began, in monotonic s: a watcher sees by it whether the sequencer hangs."""
+        """When the last turn began, in monotonic s. It shows whether the sequencer hangs."""
         self.failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="sequencer", daemon=True)
 
@@ -114,7 +114,7 @@ class Sequencer:
             raise raised[0]
 
     def reset(self) -> tuple[int, int]:
-        """Empty the map; returns the (sequence, epoch) that begin with it. Run it by `call`.
+        """Empty the map. Return the new (sequence, epoch). Run it by `call`.
 
         The new epoch is durable before readers see it. Once the reset is logged, nothing may come before it: while the
         disk fails, messages are refused and no cloud is decided.
@@ -128,11 +128,11 @@ class Sequencer:
             why = f"the logged reset failed: {type(error).__name__}: {error}; the next start carries it out"
             raise NotFollowed(why) from error
         if not durable:
-            raise ShuttingDown("the service ends; the next start carries the reset out if it reached the disk")
+            raise ShuttingDown("the service is stopping; the next start carries out the reset if it reached the disk")
         return event.sequence, event.epoch
 
     def _empty(self, event: ResetEvent) -> bool:
-        """Carry out a logged reset once it is on the disk; False if the service ends before that."""
+        """Carry out a logged reset once it is on disk. Return False if the service stops before that."""
         synced = threading.Event()
         self._writer.put(Sync(synced.set))
         while not synced.wait(IDLE_SECONDS):
@@ -158,7 +158,7 @@ class Sequencer:
             logger.critical("the sequencer failed: %s: %s", type(error).__name__, error, exc_info=error)
 
     def _turn(self, timeout: float) -> bool:
-        """One turn; True if there was something to do."""
+        """Make one turn. Return whether there was something to do."""
         self.turned = time.monotonic()
         messages, commands, heard = self._queue.take(timeout)
         for number, message in enumerate(messages, 1):
@@ -176,7 +176,7 @@ class Sequencer:
         return bool(messages) or bool(commands) or decided
 
     def _do_what_is_due(self) -> None:
-        """Checkpoint, rotation and snapshot."""
+        """Checkpoint, rotate the log and take a snapshot if due."""
         now = time.monotonic()
         if now >= self._next_checkpoint:
             self.live.checkpoint()
@@ -195,7 +195,7 @@ class Sequencer:
             pass
 
     def _refuse_messages(self) -> None:
-        """A turn while a reset waits for a log that can't be written: messages are refused, commands wait."""
+        """Make a turn while a reset waits for a log that can't be written: refuse messages, keep commands."""
         self.turned = time.monotonic()
         messages, commands, _ = self._queue.take(0.0)
         for message in messages:

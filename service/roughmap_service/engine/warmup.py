@@ -16,7 +16,7 @@ from roughmap_service.run.settings import Settings, new_map
 logger = logging.getLogger(__name__)
 
 TELL_SECONDS = 3.0
-"""Loading kernels that an earlier start compiled takes less."""
+"""After this many seconds a log line says that kernels are being compiled; loading compiled ones takes less."""
 
 LIMIT = 1 << 20
 """Bytes and points that the clouds here stay below."""

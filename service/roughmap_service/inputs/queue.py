@@ -17,7 +17,7 @@ LEAST_COST = 256
 """Bytes that a queued cloud counts for at least: an empty cloud costs memory too."""
 
 MAX_POSES = 10_000
-"""Queued odometry and transform messages: several seconds of a fleet's, and a few MB."""
+"""Most poses and transforms in the queue, of all robots: several seconds of a fleet's, a few MB."""
 
 TURN_MESSAGES = 512
 """Messages that the sequencer takes at a time. If more are queued, each robot gets an equal share: a flood from one
@@ -46,7 +46,7 @@ class InputMessage:
 
 
 Command = Callable[[], None]
-"""Something to be done between two messages, in the sequencer's thread."""
+"""A function to run between two messages, in the sequencer's thread."""
 
 
 @dataclass
@@ -73,7 +73,7 @@ class _Held:
 
 @dataclass
 class InputQueue:
-    """A bounded queue in which a robot that floods it loses its own messages.
+    """A bounded queue. A robot that floods it loses its own messages.
 
     Past ``limit`` bytes of clouds the oldest published cloud of the robot with most bytes is dropped; an ingested one
     is refused as ``busy`` instead. Past `MAX_POSES` poses and transforms the newest of the robot with most of them is
@@ -106,7 +106,7 @@ class InputQueue:
                 refused.reply.refuse(MessageFault(code, "the service is ending" if self.closed else "try again"))
 
     def command(self, command: Command) -> None:
-        """Queue something for the sequencer's thread to do."""
+        """Queue a function that the sequencer's thread is to run."""
         with self._wake:
             self._commands.append(command)
             self._wake.notify()
@@ -135,7 +135,7 @@ class InputQueue:
             self._wake.notify()
 
     def _admit(self, message: InputMessage) -> list[InputMessage]:
-        """Queue the message; returns the ones that are dropped or refused for it."""
+        """Queue the message. Return the messages that are dropped or refused for it."""
         if self.closed:
             return [message]
         if message.kind is not Kind.POINTS:

@@ -1,4 +1,4 @@
-"""The service's Zenoh session: opened from the configuration, limited, and claimed for one map."""
+"""The service's Zenoh session: opens it from the configuration, limits messages, and claims the map's name."""
 
 import json
 import logging
@@ -18,7 +18,7 @@ from roughmap_service.host.exposure import exposures, weaknesses
 logger = logging.getLogger(__name__)
 
 ADMIN_SECONDS = 5.0
-"""How long the session's own admin space, in this process, may take to answer."""
+"""Longest wait for the session's own admin space, which is in this process."""
 
 LEAST_BOUND = 4 << 20
 """Message size in bytes that is always allowed: a query for cells may carry 1 MiB of places."""
@@ -29,9 +29,9 @@ class TransportError(ReportedError):
 
 
 def zenoh_config(loaded: LoadedConfig) -> zenoh.Config:
-    """The session's configuration: given settings over the zenoh file, if there is one.
+    """Return the session's configuration: the Zenoh file, if there is one, overridden by settings.
 
-    A setting that is not given leaves the file's value alone. The admin space is on, read only, because only there can
+    A setting that is not given keeps the file's value. The admin space is on, read only, because only there can
     a session learn which port it got for port 0. ConfigFault if the file can't be used.
     """
     settings = loaded.config.zenoh
@@ -96,7 +96,7 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
 
 
 def endpoints(session: zenoh.Session) -> list[str]:
-    """Where the session listens, with real ports."""
+    """Return the endpoints on which the session listens, with real ports."""
     zid = str(session.info.zid())
     for reply in session.get(f"@/{quote(zid)}/*", timeout=ADMIN_SECONDS):
         if reply.ok is not None:
@@ -109,9 +109,9 @@ def claim(
 ) -> tuple[zenoh.LivelinessToken, list[str]]:
     """Declare this instance's token, then wait until no other instance of the map has one.
 
-    Returns the token, and the others that are still there after ``seconds`` or at ``stop``. Each instance declares
-    before it looks, so of two that start at once at least one sees the other. So that not both give way, the one whose
-    name sorts later withdraws its token until the other is gone.
+    Return the token, and the other instances that remain after ``seconds`` or at ``stop``. Each instance declares its
+    token before it looks for others, so of two that start at once at least one sees the other. To keep both from giving
+    way, the one whose name sorts later withdraws its token until the other is gone.
     """
     own, until = keys.alive(instance), time.monotonic() + seconds
     token = session.liveliness().declare_token(own)

@@ -25,16 +25,16 @@ class Duplicates:
 
     @staticmethod
     def identity(robot: str, kind: Kind, payload: bytes) -> Identity:
-        """What two equal messages have in common."""
+        """Return what two equal messages have in common."""
         return robot, kind.value, xxhash.xxh3_128_hexdigest(payload)
 
     def find(self, identity: Identity) -> int | None:
-        """The message's input number; None if it is not among the last ones."""
+        """Return the message's input number; None if it is not among the last ones."""
         of = self._seen.get(identity[0])
         return None if of is None else of.get(identity)
 
     def add(self, identity: Identity, number: int) -> None:
-        """Remember a message as the newest; past the limit forget one."""
+        """Remember a message as the newest. Past the limit, forget one."""
         of = self._seen.setdefault(identity[0], OrderedDict())
         self._number += of.pop(identity, None) is None
         of[identity] = number
@@ -43,11 +43,11 @@ class Duplicates:
             self._number -= 1
 
     def to_state(self) -> list[tuple[str, str, str, int]]:
-        """All, oldest first."""
+        """Return all messages, oldest first."""
         seen = [(*identity, number) for of in self._seen.values() for identity, number in of.items()]
         return sorted(seen, key=lambda one: one[3])
 
     def load_state(self, state: Iterable[tuple[str, str, str, int]]) -> None:
-        """The inverse of `to_state`."""
+        """Restore what `to_state` returned."""
         for robot, kind, digest, number in state:
             self.add((robot, kind, digest), number)

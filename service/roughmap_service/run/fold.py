@@ -14,17 +14,17 @@ from roughmap_service.run.settings import Settings
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One item of the log that was taken up; for an event, how it came out this time."""
+    """One item of the log that was applied; for an event, what it resulted in this time."""
 
     item: LogItem
     outcome: Event | None = None
 
 
 def fold(run: Run, items: Iterable[LogItem], *, taken: int = 0, low_water: int = 1) -> Iterator[Step]:
-    """Take up the log item by item into ``run``, under the settings that each file names.
+    """Apply the log to ``run`` item by item, under the settings that each file names.
 
-    ``run`` already holds everything up to record ``taken`` (a store's cut). Of what lies before, only clouds from input
-    ``low_water`` on that were undecided then are taken up. RunError where the log contradicts itself.
+    ``run`` already holds everything up to record ``taken`` (a store's cut). Of the items before it, only
+    clouds from input ``low_water`` on that were undecided then are applied. RunError if the log contradicts itself.
     """
     for item in items:
         if isinstance(item, FileStart):

@@ -15,8 +15,11 @@ INTEGRATED = "integrated"
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """When a message came in, in monotonic s. A ``promised`` one was acknowledged or waited over a restart, and never
-    ends for want of room; a ``resumed`` one waited over a restart."""
+    """When a message arrived, in monotonic s.
+
+    A ``resumed`` cloud waited over a restart. A ``promised`` one did too, or was acknowledged; it is never rejected for
+    lack of room.
+    """
 
     at: float
     promised: bool = False
@@ -37,13 +40,13 @@ class LoggedCloud:
 
     @classmethod
     def of(cls, number: int, robot: str, cloud: Cloud, arrival: Arrival) -> Self:
-        """The cloud of a message."""
+        """Return the cloud of a message."""
         return cls(number, robot, cloud, *span(cloud), cloud.held_bytes, arrival)
 
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """What to do with a cloud: integrate it with these poses, or end it for a reason.
+    """What to do with a cloud: integrate it with these poses, or reject it for a reason.
 
     ``poses`` are (odometry input, transform input or 0), ascending by stamp.
     """
@@ -76,10 +79,10 @@ class Row:
 
 @dataclass(slots=True)
 class RobotQueue:
-    """One robot's clouds, published and promised apart.
+    """One robot's clouds, published and promised ones in separate rows.
 
-    Thousands may wait, and each message asks for the first and the earliest, so both are at hand. Only the first of a
-    row ever leaves: it is decided or, if published, ended for want of room.
+    Thousands may wait, and each message needs the first and the earliest, so both are kept. Only the first of a row
+    ever leaves: it is decided or, if published, rejected for lack of room.
     """
 
     published: Row = field(default_factory=Row)
@@ -128,14 +131,14 @@ class Inbox:
     size: int = 0
 
     def has_room(self, size: int) -> bool:
-        """Whether a cloud of ``size`` bytes fits without ending another.
+        """Return whether a cloud of ``size`` bytes fits without rejecting another.
 
-        One alone always fits: decoded, it may be larger than its message.
+        A single cloud always fits: decoded, it may be larger than its message.
         """
         return not self.size or self.size + size <= self.settings.queue_limit
 
     def feed(self, cloud: LoggedCloud) -> None:
-        """Add a logged cloud. Past the limit the oldest published cloud of the robot with most bytes ends."""
+        """Add a logged cloud. Past the limit, reject the oldest published cloud of the robot with most bytes."""
         self.queues.setdefault(cloud.robot, RobotQueue()).append(cloud)
         self.size += cloud.size
         while self.size > self.settings.queue_limit and self.size > cloud.size:
@@ -145,16 +148,16 @@ class Inbox:
             self._end(victim, CloudReason.OVERLOAD)
 
     def clock_reset(self, robot: str) -> None:
-        """End the robot's clouds: its clock was set back, and no more poses of the old clock will come."""
+        """Reject the robot's clouds: its clock was set back, and no more poses of the old clock will arrive."""
         while robot in self.queues:
             self._end(self.queues[robot].first, CloudReason.CLOCK_RESET)
 
     def holds_before(self, robot: str, stamp_ns: int) -> bool:
-        """Whether a waiting cloud of the robot has a point before that time."""
+        """Return whether a waiting cloud of the robot has a point before that time."""
         return robot in self.queues and self.queues[robot].earliest_ns < stamp_ns
 
     def tick(self, now: float) -> Proposal | None:
-        """The next decision at monotonic time ``now`` (s), or None.
+        """Return the next decision at monotonic time ``now`` (s), or None.
 
         Robots take turns, so that a flood from one does not hold up the others.
         """
@@ -169,7 +172,7 @@ class Inbox:
         return None
 
     def deadline(self) -> float | None:
-        """The monotonic time (s) at which the next wait ends; None if nothing waits."""
+        """Return the monotonic time (s) at which the next wait ends; None if nothing waits."""
         if self.ended:
             return 0.0
         if not self.queues:

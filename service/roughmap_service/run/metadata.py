@@ -1,4 +1,4 @@
-"""What a log file says at its beginning about the run that it continues."""
+"""The metadata at the beginning of a log file, about the run that the file continues."""
 
 from importlib.metadata import version
 
@@ -7,7 +7,7 @@ from roughmap_service.run.run import Run
 
 
 def file_metadata(run_id: str, run: Run, config: Config, *, epoch: int, index: int, created_ns: int) -> RunMetadata:
-    """The metadata of the log file ``index``, in which ``run`` goes on under ``config``."""
+    """Return the metadata of the log file ``index``, in which ``run`` continues under ``config``."""
     return RunMetadata(
         run=run_id,
         created_ns=created_ns,

@@ -1,4 +1,4 @@
-"""A cloud's points on their way into the map: where they are in time, and where in space."""
+"""A cloud's points placed in the map frame, and the span of their times."""
 
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -33,7 +33,7 @@ def place_cloud(
             max_new_tiles=most_new, max_tiles=most, reader_lock=reader_lock,
         )  # fmt: skip
     sensor = settings.sensor(robot, cloud.frame_id)
-    if sensor is None:  # it waited over a restart, and the new configuration does not have its sensor
+    if sensor is None:  # the cloud waited over a restart, and the new configuration lacks its sensor
         return Prepared(0, {PointReason.NO_POSE: len(cloud.points)} if len(cloud.points) else {})
     scan = Scan(
         cloud.points,
@@ -49,9 +49,9 @@ def place_cloud(
 
 
 def span(cloud: Cloud) -> tuple[int, int]:
-    """First and last time of a cloud's points in ns.
+    """Return the first and last time of a cloud's points in ns.
 
-    Points whose own time is out of range don't count. The cloud's stamp if none is left.
+    Points whose own time is out of range don't count. If none is left, both are the cloud's stamp.
     """
     if cloud.offsets_ns is None or not len(cloud.offsets_ns):
         return cloud.stamp_ns, cloud.stamp_ns

@@ -1,4 +1,4 @@
-"""Rotations of a few poses, in plain floats: every operation is IEEE's, so that no BLAS decides about the last bit."""
+"""Rotations of a few poses, in plain IEEE floats: with BLAS the last bit could depend on the machine."""
 
 import math
 from collections.abc import Sequence

@@ -27,7 +27,7 @@ STALE_ROW = 10
 
 
 MAX_POSES = 20_000
-"""Poses kept of a robot, whatever the history: 10 s at 2 kHz."""
+"""Most poses kept of a robot, however long the history: 10 s at 2 kHz."""
 
 MAX_TRANSFORMS = 1_000
 """Transforms kept of a robot. One per frame is needed; the others serve odometry that arrives late."""
@@ -80,7 +80,7 @@ class PoseBuffer:
     jumps: int = 0
 
     def add(self, odometry: Odometry, number: int) -> tuple[PoseReason | None, bool]:
-        """Add a pose; returns why it is rejected (None: added), and whether it showed that the clock was reset."""
+        """Add a pose. Return why it is rejected (None: added), and whether it shows that the clock was set back."""
         pose = self._in_map_frame(odometry, number)
         if pose is None:
             return PoseReason.POSE_FRAME, False
@@ -106,7 +106,7 @@ class PoseBuffer:
         return None, was_reset
 
     def add_transform(self, transform: Transform, number: int) -> PoseReason | None:
-        """Add a transform; returns `pose_frame` if its parent is not the map's frame."""
+        """Add a transform. Return `pose_frame` if its parent is not the map's frame."""
         if transform.parent_frame_id != self.frame_id:
             return PoseReason.POSE_FRAME
         new = StampedTransform(
@@ -122,7 +122,7 @@ class PoseBuffer:
         return None
 
     def covers(self, first_ns: int, last_ns: int) -> bool:
-        """Whether there is a pose at or before the first time and one at or after the last."""
+        """Return whether there is a pose at or before the first time and one at or after the last."""
         return bool(self.poses) and self.poses[0].stamp_ns <= first_ns and self.poses[-1].stamp_ns >= last_ns
 
     def window(self, first_ns: int, last_ns: int) -> list[Pose]:
@@ -204,7 +204,7 @@ class PoseBuffer:
         }  # fmt: skip
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """The inverse of `to_state`."""
+        """Restore what `to_state` returned."""
         self.poses = [
             Pose(s, triple(p), quaternion(r), None if c is None else np.array(c, np.float64), i, t)
             for s, p, r, c, i, t in state["poses"]
@@ -239,12 +239,12 @@ def trajectory(poses: Sequence[Pose], unknown_covariance: Floats) -> Trajectory:
 
 
 def too_far_apart(poses: Sequence[Pose], max_gap_ns: float) -> bool:
-    """Whether two neighbours are farther apart in time than ``max_gap_ns`` (which may be infinite)."""
+    """Return whether two neighbours are farther apart in time than ``max_gap_ns`` (which may be infinite)."""
     return any(b.stamp_ns - a.stamp_ns > max_gap_ns for a, b in pairwise(poses))
 
 
 def too_fast(poses: Sequence[Pose], max_speed: float, max_turn: float) -> bool:
-    """Whether two neighbours imply more than ``max_speed`` (m/s) or ``max_turn`` (rad/s)."""
+    """Return whether two neighbours imply more than ``max_speed`` (m/s) or ``max_turn`` (rad/s)."""
     for a, b in pairwise(poses):
         seconds = (b.stamp_ns - a.stamp_ns) * 1e-9
         if math.dist(a.position, b.position) > max_speed * seconds:

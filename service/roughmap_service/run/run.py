@@ -89,7 +89,7 @@ class Run:
         self.inbox = Inbox(self.settings, self.poses)
 
     def take(self, robot: str, content: Content, identity: Identity, arrival: Arrival | None = None) -> Taken:
-        """Number the next message and take it up.
+        """Number the next message and apply it.
 
         With an ``arrival`` a cloud waits in the inbox. A replayed one has none: its event holds what was decided.
         """
@@ -117,7 +117,7 @@ class Run:
         return cloud
 
     def resume(self, now: float) -> None:
-        """Go on live after a replay: undecided clouds wait again, from monotonic time ``now`` (s) on."""
+        """Continue live after a replay: undecided clouds wait again, from monotonic time ``now`` (s) on."""
         for number, cloud in sorted(self.clouds.items()):
             self.inbox.feed(self.keep(number, cloud.robot, cloud.cloud, Arrival(now, promised=True, resumed=True)))
 
@@ -128,7 +128,7 @@ class Run:
     def place(
         self, proposal: Proposal, reader_lock: ReaderLock = nullcontext, *, no_new_tiles: bool = False
     ) -> Callable[[], IntegrationEvent]:
-        """Do all of an integration that readers can't see; the returned function changes the map, and comes next.
+        """Do the part of an integration that readers can't see. Return a function that changes the map; call it next.
 
         The points are placed and the tiles they touch brought into memory; for ``reader_lock`` see
         `RoughMap.prepare_points`. With ``no_new_tiles`` there is no memory for more tiles, and a cloud that needs one
@@ -176,7 +176,7 @@ class Run:
         return change
 
     def next_reset(self) -> ResetEvent:
-        """The event of a reset that comes next."""
+        """Return the event of a reset, before it is carried out."""
         return ResetEvent(epoch=self.epoch + 1, sequence=self.map.sequence + 1)
 
     def reset(self) -> ResetEvent:
@@ -187,7 +187,7 @@ class Run:
         return ResetEvent(epoch=self.epoch, sequence=self.map.sequence)
 
     def checkpoint(self) -> CheckpointEvent:
-        """The map's digest at its present sequence."""
+        """Return the map's digest at its current sequence."""
         return CheckpointEvent(epoch=self.epoch, sequence=self.map.sequence, digest=self.map.digest())
 
     def follow(self, event: Event) -> Event:
@@ -208,7 +208,7 @@ class Run:
         return self.reset() if isinstance(event, ResetEvent) else self.checkpoint()
 
     def use(self, settings: Settings) -> None:
-        """Go on under other settings, as a new file of the log says."""
+        """Continue under other settings, such as those of the log's next file."""
         self.settings = self.inbox.settings = settings
         for buffer in self.poses.values():
             buffer.history_ns = settings.history_ns
@@ -216,7 +216,7 @@ class Run:
             buffer.max_poses, buffer.max_transforms = settings.max_poses, settings.max_transforms
 
     def buffer(self, robot: str) -> PoseBuffer:
-        """The robot's pose buffer, made when it is first needed."""
+        """Return the robot's pose buffer, made when it is first needed."""
         if robot not in self.poses:
             s = self.settings
             self.poses[robot] = PoseBuffer(

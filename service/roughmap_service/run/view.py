@@ -13,7 +13,7 @@ from roughmap.tiles.index import TileBox, TileVersions
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """The map right before the present change: enough for answers whose tiles are already drawn."""
+    """The map right before the current change: enough for answers whose tiles are already drawn."""
 
     epoch: int
     sequence: int
@@ -24,18 +24,18 @@ class Standing:
 class View:
     """The map behind its one lock.
 
-    The sequencer prepares a change without it, brings tiles into memory before, and changes the map inside `change`; a
-    reader pins what it needs inside the lock and reads it afterwards without any, while the map goes on. So nobody is
-    at a disk inside the lock. A reader waits at most for the rest of one scan's update of cells, or for other
-    readers; a few tiles are pinned in some 50 us, the whole map in time that grows with it. Who waits for the lock gets
-    it before the next change begins, however fast these follow each other.
+    The sequencer prepares a change and brings its tiles into memory without the lock, then changes the map inside
+    `change`. A reader pins what it needs under the lock and reads it after releasing it, while the map changes. So no
+    thread uses a disk under the lock. A reader waits at most for the rest of one scan's update of cells, or for other
+    readers. Pinning a few tiles takes some 50 us; for the whole map the time grows with the map. A waiting reader gets
+    the lock before the next change begins, however fast changes follow each other.
     """
 
     def __init__(self, rough_map: RoughMap, epoch: int) -> None:
         self.map = rough_map
         self.epoch = epoch
         self.standing: Standing | None = None
-        """While a change is going on, and if someone read since the last one, the map as it was before it."""
+        """During a change, the map before it; None if nothing was read since the previous change."""
         self._lock = threading.Lock()
         self._turn = threading.Lock()
         self._left: deque[FrozenMap] = deque()
@@ -45,8 +45,11 @@ class View:
 
     @contextmanager
     def _held(self) -> Iterator[None]:
-        """Hold the lock. A plain one would go again and again to the sequencer, which is awake when it lets go of it;
-        here it must first get the turn, which a waiting reader holds."""
+        """Hold the lock.
+
+        The sequencer could take a plain lock again and again, since it is awake when it releases it. Here it must
+        first get the turn, which a waiting reader holds.
+        """
         with self._turn:
             self._lock.acquire()
         try:
@@ -64,8 +67,8 @@ class View:
     def _close_left_if_free(self) -> None:
         """Close what readers left here, unless the lock is held.
 
-        Called after each release and after each reader that leaves something: one of the two finds the lock free, so
-        nothing stays pinned.
+        Called after each release, and after each reader that leaves something. One of the two calls finds the lock
+        free, so nothing stays pinned.
         """
         while self._left and self._lock.acquire(blocking=False):
             try:
@@ -99,7 +102,7 @@ class View:
 
     @contextmanager
     def freeze(self, level: int = 0, box: TileBox | None = None) -> Iterator[tuple[FrozenMap, int]]:
-        """A frozen part of the map and the epoch that it is of; see `RoughMap.freeze` for ``level`` and ``box``."""
+        """Freeze a part of the map; yield it and its epoch. See `RoughMap.freeze` for ``level`` and ``box``."""
         with self.reading() as rough_map:
             frozen, epoch = rough_map.freeze(level, box), self.epoch
         try:
@@ -112,7 +115,7 @@ class View:
         self._was_read = True
 
     def let_go(self, frozen: FrozenMap) -> None:
-        """Close a frozen part of the map now or, if the map is in use, when that use ends: no answer waits for it."""
+        """Close a frozen part of the map: now, or when the lock is released if it is held. Never wait."""
         self._left.append(frozen)
         self._close_left_if_free()
 
