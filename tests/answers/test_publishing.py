@@ -57,7 +57,7 @@ def test_one_status_that_fails_is_followed_by_others(caplog: pytest.LogCaptureFi
     assert "no status today" in caplog.text
 
 
-def test_who_listens_right_after_a_reset_hears_what_it_emptied() -> None:
+def test_a_subscriber_right_after_a_reset_gets_the_emptied_tiles() -> None:
     """They may hold tiles that they asked for before it."""
     heard: Gathered[zenoh.Sample] = Gathered()
     with Served({"updates": {"update_hz": 50.0, "levels": [1]}}) as served:

@@ -18,7 +18,7 @@ def emptied(limit: int, *rounds: list[int]) -> ResetHistory:
     return known
 
 
-def test_tiles_of_all_resets_are_told() -> None:
+def test_tiles_of_all_resets_are_reported() -> None:
     gone = emptied(100, [1, 2], [2, 3], [5]).now
     assert gone.sequence == 6
     assert gone.tiles(0, NOTHING).tolist() == [[1, 0], [2, 0], [3, 0], [5, 0]]
@@ -45,5 +45,5 @@ def test_a_tile_counts_once_with_the_last_reset_that_emptied_it() -> None:
     assert emptied(3, [1, 2], [3], [1, 4]).now.level0[:, 0].tolist() == [1, 3, 4]
 
 
-def test_the_last_reset_is_always_told_whole() -> None:
+def test_the_last_reset_is_always_reported_whole() -> None:
     assert emptied(1, [1, 2, 3]).now.level0[:, 0].tolist() == [1, 2, 3]

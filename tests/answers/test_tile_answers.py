@@ -137,7 +137,7 @@ def test_rows_go_along_y_from_the_lowest_corner(served: Served) -> None:
     np.testing.assert_array_equal(tile.layers()["mean_height"], region["mean_height"])
 
 
-def test_a_query_is_told_in_the_log(served: Served) -> None:
+def test_a_query_is_recorded_in_the_log(served: Served) -> None:
     selector = "maps/site/tiles/0/0/*?layers=range"
     served.records.clear()
     count = len(tiles(served, selector))

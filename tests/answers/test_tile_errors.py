@@ -96,7 +96,7 @@ def test_as_many_tiles_as_allowed_are_answered(served: Served) -> None:
     assert get(served.asker, "maps/site/tiles/0/*/*?bbox=-12.8,-6.4,12.9,12.8").error() == "too_large"
 
 
-def test_a_refusal_is_told_in_the_log(served: Served) -> None:
+def test_a_refusal_is_recorded_in_the_log(served: Served) -> None:
     selector = "maps/site/tiles/0/0/0?layers=height;dtype=f8"
     assert get(served.asker, selector).error() == "unknown_layer"
 

@@ -171,7 +171,7 @@ def test_emptied_tiles_are_those_asked_for(changing: Served) -> None:
     assert set(tiles(changing, "0/-$*/0", since=1, epoch=5)) == {(0, x, 0) for x in (-8, -7, -6, -5, -2, -1)}
 
 
-def test_emptied_tiles_are_told_over_several_resets(changing: Served) -> None:
+def test_emptied_tiles_are_reported_over_several_resets(changing: Served) -> None:
     first = set(tiles(changing))
     changing.reset()
     changing.add(some_points(300, 51, (500.0, 0.0)), T0)

@@ -28,7 +28,7 @@ def build(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int
 
 
 def stored(file: Path) -> tuple[str, int]:
-    """The stored map's digest and sequence, read anew."""
+    """Read a store; return its map's digest and sequence."""
     store = Store(file)
     cut = store.read_cut()
     assert cut is not None

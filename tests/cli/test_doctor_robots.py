@@ -162,7 +162,7 @@ def test_clocks_that_differ() -> None:
     assert by_words["stamps"] == "note", "a recording of an hour ago"
 
 
-def test_numbers_that_are_missing_are_told_once() -> None:
+def test_numbers_that_are_missing_are_reported_once() -> None:
     listening = Listening()
     for stamp, kind in ((-0.01, "pose"), (0.0, "cloud"), (0.2, "pose")):
         getattr(listening, kind)(stamp, numbered=False)

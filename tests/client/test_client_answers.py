@@ -166,7 +166,7 @@ def test_changes_since_a_version(changing: tuple[Served, RoughMapClient]) -> Non
     assert keys(client.changes(first.version, level=2)) == {(2, -3, 0)}
 
 
-def test_after_a_reset_all_is_anew_and_the_emptied_tiles_are_told(changing: tuple[Served, RoughMapClient]) -> None:
+def test_after_a_reset_changes_are_complete_and_list_emptied_tiles(changing: tuple[Served, RoughMapClient]) -> None:
     served, client = changing
     held = client.changes()
     served.reset()
@@ -204,7 +204,7 @@ def test_following_the_changes_gives_the_whole_map(changing: tuple[Served, Rough
     assert fewer > 3, "mostly a part of the tiles was enough"
 
 
-def test_a_run_begun_anew_is_not_taken_for_the_one_before() -> None:
+def test_a_new_run_is_not_taken_for_the_one_before() -> None:
     """Epoch and sequence may come again, in another process: then what was held says nothing of this map."""
     with Served() as before, RoughMapClient("site", session=before.asker, timeout=30.0) as client:
         held = client.changes()

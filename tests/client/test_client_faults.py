@@ -239,7 +239,7 @@ def test_a_service_that_is_busy_is_asked_again(pair: Pair, client: RoughMapClien
     assert (tile["mean_height"] == 1.5).all()
 
 
-def test_a_service_that_stays_busy_is_told_at_the_end(pair: Pair) -> None:
+def test_a_service_that_stays_busy_is_reported_at_the_end(pair: Pair) -> None:
     with (
         foreign(pair, KEYS["region"], lambda q: refuse(q, "busy")),
         RoughMapClient("site", session=pair[1], timeout=1.5) as client,

@@ -111,7 +111,7 @@ def test_each_pause_is_twice_the_one_before_up_to_a_limit(
 
 
 @pytest.mark.parametrize("code", ["bad_message", "bad_encoding", "too_large", "unknown_sensor", "unknown_robot"])
-def test_another_refusal_is_told_at_once(pair: Pair, client: RoughMapClient, code: str) -> None:
+def test_another_refusal_is_raised_at_once(pair: Pair, client: RoughMapClient, code: str) -> None:
     heard = Heard(lambda query: refuse(query, code))
     with foreign(pair, KEY, heard), pytest.raises(QueryRefused) as caught:
         client.ingest(b"the cloud", "mule")

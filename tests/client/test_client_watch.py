@@ -112,7 +112,7 @@ def test_while_the_callback_is_busy_the_newest_state_waits(client: RoughMapClien
     assert seen.items == [(0, 1.0), (1, 4.0), (2, 14.0), (3, 5.0), (4, 6.0)]
 
 
-def test_an_update_that_cannot_be_read_is_told(client: RoughMapClient, publishing: Publishing) -> None:
+def test_an_update_that_cannot_be_read_is_reported(client: RoughMapClient, publishing: Publishing) -> None:
     tiles: Gathered[Tile] = Gathered()
     errors: Gathered[RoughMapError] = Gathered()
     with client.watch(tiles, on_error=errors):

@@ -82,7 +82,7 @@ def test_a_scan_without_times_is_placed_at_its_stamp() -> None:
         np.testing.assert_array_equal(a, b)
 
 
-def test_the_bracket_is_found_whatever_the_order_of_the_points() -> None:
+def test_the_bracket_is_found_in_any_order_of_the_points() -> None:
     """Each search starts at the previous bracket: points in order, reversed and shuffled are placed the same."""
     rng = np.random.default_rng(5)
     stamps = START_NS + np.cumsum(rng.integers(1, 10**7, 90))

@@ -1,4 +1,4 @@
-"""A run begun anew beside an old one, logs of another release, and stores that can't be what they should."""
+"""A new run beside an old one, logs of another release, and stores that don't fit the log."""
 
 import json
 import sqlite3
@@ -42,7 +42,7 @@ def other_digest(payload: bytes) -> bytes:
     return json.dumps({**json.loads(payload), "digest": "0" * 32}).encode()
 
 
-def test_what_begins_anew_is_the_newest_whatever_the_clock_says(logs: Path) -> None:
+def test_a_new_run_is_the_newest_even_if_the_clock_was_set_back(logs: Path) -> None:
     with LoggedRun(logs, created_ns=10**18) as old:
         old.scan(0.0)
         old.checkpoint()

@@ -142,7 +142,7 @@ def test_a_file_in_which_nothing_stands_yet_goes_on_from_the_store(logs: Path, s
 
 
 @pytest.mark.parametrize("stored", [False, True])
-def test_undecided_clouds_wait_anew(logs: Path, store: Store, stored: bool) -> None:
+def test_undecided_clouds_wait_again(logs: Path, store: Store, stored: bool) -> None:
     with LoggedRun(logs, store=store) as run:
         drive(run)
         waiting = run.put(Kind.POINTS, cloud(3.05))
@@ -202,7 +202,7 @@ def test_a_log_that_lost_its_end_is_what_counts(logs: Path, store: Store, tmp_pa
     assert digest(recover(config(), logs, store)) == again.run.map.digest()
 
 
-def test_a_store_of_another_state_version_is_built_anew(logs: Path, store: Store) -> None:
+def test_a_store_of_another_state_version_is_rebuilt(logs: Path, store: Store) -> None:
     with LoggedRun(logs, store=store) as run:
         drive(run)
         run.snapshot()

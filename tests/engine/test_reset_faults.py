@@ -104,7 +104,7 @@ def test_a_logged_reset_that_can_not_be_done_ends_the_sequencer_and_the_next_sta
     assert (back.run.map.sequence, back.run.map.digest()) == (before + 1, RoughMap().digest())
 
 
-def test_a_reset_that_is_not_on_the_disk_at_the_end_is_not_told_as_done(tmp_path: Path) -> None:
+def test_a_reset_that_is_not_on_disk_at_the_end_is_not_confirmed(tmp_path: Path) -> None:
     with ExitStack() as stack:
         service = ResettableRun(tmp_path, stack)
         sequencer, told = service.sequencer, list[object]()

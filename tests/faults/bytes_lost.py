@@ -196,7 +196,7 @@ def store_flips(trial: Trial, folder: Path, rng: random.Random, number: int) -> 
             back = recover(config(), work / "log", flipped)
             trial.expect(back.run.map.digest() == digest, f"{where}: another map")
             trial.expect(_stamps(back.run.map) == stamps, f"{where}: tiles of other times")
-            trial.note("without a bearing on the map" if back.cut is not None else "built anew from the log")
+            trial.note("without a bearing on the map" if back.cut is not None else "rebuilt from the log")
         except StoreError as error:
             trial.expect(str(flipped.path) in str(error), f"{where}: not named: {error}")
             trial.note("left to the operator")

@@ -72,7 +72,7 @@ def test_of_two_starts_at_once_one_serves(tmp_path: Path, router: list[str]) -> 
         assert winner.stop() == 0
 
 
-def test_a_signal_on_the_way_up_is_heard(tmp_path: Path) -> None:
+def test_a_signal_during_the_start_takes_effect(tmp_path: Path) -> None:
     """While it folds a log it ends at once, with nothing begun; the next start has all."""
     rng = random.Random(1)
     with LoggedRun(tmp_path / "log", config(log={"directory": str(tmp_path / "log")})) as run:

@@ -63,7 +63,7 @@ def test_the_command_tells_what_it_tried(tmp_path: Path) -> None:
     assert "store gone, old, or newer than the log  4      0" in done.stdout
 
 
-def test_what_is_found_is_told_and_ends_with_1(tmp_path: Path) -> None:
+def test_what_is_found_is_reported_and_ends_with_1(tmp_path: Path) -> None:
     trial = Trial("a fault")
     trial.expect(False, "it broke")
     with pytest.raises(AssertionError, match="it broke"):

@@ -86,7 +86,7 @@ def start(tmp_path: Path, shim: Shim, monkeypatch: pytest.MonkeyPatch) -> Start:
     return started
 
 
-def test_a_store_that_fails_is_told_and_holds_up_nothing(
+def test_a_store_that_fails_is_reported_and_holds_up_nothing(
     shim: Shim, start: Start, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with start() as sick:
@@ -115,7 +115,7 @@ def test_a_store_that_fails_is_told_and_holds_up_nothing(
     assert sick.events() == ["snapshot_failed", "snapshot_recovered"]
 
 
-def test_a_disk_that_hangs_is_told_and_refused_for(shim: Shim, start: Start) -> None:
+def test_a_disk_that_hangs_is_reported_and_refused_for(shim: Shim, start: Start) -> None:
     """Nothing is acknowledged until it answers, and once it is seen nothing is taken in; what waited is whole then."""
     with start() as sick:
         feed: Feed = sick.feed
@@ -142,7 +142,7 @@ def test_a_disk_that_hangs_is_told_and_refused_for(shim: Shim, start: Start) -> 
     assert sick.events() == ["degraded", "recovered"]
 
 
-def test_a_spill_file_that_hangs_is_told_and_only_the_map_waits(shim: Shim, start: Start) -> None:
+def test_a_spill_file_that_hangs_is_reported_and_only_the_map_waits(shim: Shim, start: Start) -> None:
     """The sequencer needs room for a cloud and waits for it: the queue's limit answers requests; queries go on."""
     spill = {"memory_limit": "8MiB", "spill_path": str(shim.root / "tiles.spill")}
     small = {"queue_limit": "8MiB", "max_message": "8MiB"}

@@ -92,12 +92,12 @@ def test_a_repair_never_takes_away_what_was_on_the_disk(tmp_path: Path) -> None:
             assert [one.payload for one in inputs_of(read_back(left / "log"))] == whole, f"cut behind call {number}"
 
 
-def test_an_epoch_that_may_have_been_told_does_not_come_again(tmp_path: Path) -> None:
+def test_an_epoch_that_may_have_been_published_is_not_used_again(tmp_path: Path) -> None:
     left = left_of(Shim(tmp_path / "shim", journal=True), tmp_path / "left", begun)
     assert recover(config(), left / "log", None).epoch == 2
 
 
-def test_a_snapshot_that_is_told_of_is_on_the_disk(tmp_path: Path) -> None:
+def test_a_reported_snapshot_is_on_disk(tmp_path: Path) -> None:
     shim = Shim(tmp_path / "shim", journal=True)
     left = left_of(shim, tmp_path / "left", stored)
     there = store_of(shim.root / "log").read_cut()

@@ -1,4 +1,4 @@
-"""Writes the inputs that fuzzing begins with anew into corpus/TARGET/seed-...: good ones, and ones just beside good."""
+"""Rewrites the inputs that fuzzing begins with in corpus/TARGET/seed-...: good ones, and ones just beside good."""
 
 import io
 import json

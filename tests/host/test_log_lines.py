@@ -83,7 +83,7 @@ def test_repeats_are_counted_and_told_with_the_next_line(logger: logging.Logger)
     assert told == [*few, "another robot's", "another kind", f"gap 100 (and {100 - REPEATS} more like it before)"]
 
 
-def test_each_robot_s_first_refusal_of_a_kind_is_told_and_a_flood_of_names_is_not(
+def test_each_robot_s_first_refusal_of_a_kind_is_reported_and_a_flood_of_names_is_not(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     logger = logging.getLogger(admission.__name__)
@@ -107,7 +107,7 @@ def test_each_robot_s_first_refusal_of_a_kind_is_told_and_a_flood_of_names_is_no
     assert counters.snapshot().refused["unknown_robot"] == 2 * MAX_KINDS
 
 
-def test_what_was_counted_last_is_told_at_the_end(logger: logging.Logger) -> None:
+def test_what_was_counted_last_is_reported_at_the_end(logger: logging.Logger) -> None:
     stream, _ = lines_to(logger, JsonFormatter())
     for number in range(REPEATS + 2):
         logger.error("fault %d", number)
@@ -117,7 +117,7 @@ def test_what_was_counted_last_is_told_at_the_end(logger: logging.Logger) -> Non
     assert told[-1]["repeats"] == 1
 
 
-def test_a_state_that_is_entered_or_left_is_always_told(logger: logging.Logger) -> None:
+def test_a_state_that_is_entered_or_left_is_always_reported(logger: logging.Logger) -> None:
     stream, _ = lines_to(logger, TextFormatter())
     for _ in range(10):
         note(logger, logging.WARNING, "degraded", "down", always=True)
@@ -161,7 +161,7 @@ def test_the_form_follows_the_terminal_and_the_setting(monkeypatch: pytest.Monke
         assert len(stream.getvalue().splitlines()) == 1
 
 
-def test_an_overload_is_told_when_it_begins_and_ends(caplog: pytest.LogCaptureFixture, status: MapStatus) -> None:
+def test_an_overload_is_reported_when_it_begins_and_ends(caplog: pytest.LogCaptureFixture, status: MapStatus) -> None:
     overload = Overload()
     with caplog.at_level(logging.INFO):
         for health, dropped in (
@@ -188,7 +188,7 @@ def status() -> MapStatus:
     )  # fmt: skip
 
 
-def test_nobody_waits_for_a_reader_of_the_lines_who_takes_none(logger: logging.Logger) -> None:
+def test_a_reader_that_stops_reading_the_lines_blocks_nothing(logger: logging.Logger) -> None:
     """They are lost, and counted when there is a reader again."""
     reading, writing = os.pipe()
     with os.fdopen(reading, "rb", buffering=0) as reader, os.fdopen(writing, "w", encoding="utf-8") as stream:

@@ -1,4 +1,4 @@
-"""A real service and whoever means it harm: after each try it answers, has not grown, has counted what it refused by
+"""A real service under attack: after each try it answers, has not grown, has counted what it refused by
 the right reason, and takes another robot's cloud."""
 
 import os

@@ -124,7 +124,7 @@ def test_log_lines_tell_the_events_and_nothing_tells_the_token(live: Running) ->
     assert not any(TOKEN in line for line in [*live.service.out, *live.service.err])
 
 
-def test_an_overload_is_told_everywhere_and_so_is_its_end(
+def test_an_overload_is_reported_everywhere_and_so_is_its_end(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Clouds whose poses never come fill a small inbox."""

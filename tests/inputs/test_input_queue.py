@@ -112,7 +112,7 @@ def test_of_a_flood_each_robot_gets_its_share_taken(door: Door, monkeypatch: pyt
     assert door.intake.take(0.0)[0] == []
 
 
-def test_a_request_is_told_busy_and_drops_nobody(door: Door) -> None:
+def test_a_request_is_refused_as_busy_and_drops_nothing(door: Door) -> None:
     door.put("points", "a", 900, 1)
     assert door.refused("maps/site/ingest/b/points", 900) == "busy"
     assert door.taken() == [("points", "a", 1)]
@@ -148,7 +148,7 @@ def test_too_large_a_message_is_not_even_copied(door: Door) -> None:
 
 
 def test_missing_message_numbers_are_counted_by_robot_and_kind(door: Door) -> None:
-    """Clouds and poses are numbered apart; a number that goes back is a publisher that began anew."""
+    """Clouds and poses are numbered apart; a number that goes back means that the publisher restarted."""
     for kind, robot, number in (
         ("points", "a", 7), ("points", "a", 8), ("odometry", "a", 1), ("points", "a", 11), ("points", "b", 3),
         ("points", "b", 0), ("points", "b", 2), ("odometry", "a", 2),

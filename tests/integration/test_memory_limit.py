@@ -144,5 +144,5 @@ def test_a_damaged_tile_of_the_store_ends_the_service_by_name(tmp_path: Path) ->
             feed.client.region((33.0, 0.0, 35.0, 6.0))
         assert service.finished(READY_S) == 1
     assert any("map.db: tile (5, 0) is damaged" in line for line in service.err)
-    with running(tmp_path, **settings) as (_, feed):  # built anew from the log
+    with running(tmp_path, **settings) as (_, feed):  # rebuilt from the log
         assert feed.client.status().tiles.resident == TILES

@@ -59,7 +59,7 @@ def test_the_same_map_goes_on(tmp_path: Path, store: bool) -> None:
             assert map_digest(feed) == tiles
             assert (after.run, after.epoch, after.sequence) == (before.run, before.epoch + 1, before.sequence)
             assert after.instance != before.instance
-            assert (after.input, after.clouds.waiting) == (before.input, 1), "it waits anew"
+            assert (after.input, after.clouds.waiting) == (before.input, 1), "it waits again"
             feed.pose("r1", T0 + 19 * S // 10, (9.5, 1.9, 1.0))
             feed.pose("r1", T0 + 21 * S // 10, (10.5, 2.1, 1.0))
             event = feed.decided(undecided)

@@ -39,7 +39,7 @@ def read(path: Path) -> tuple[list[LogItem], LogError | None]:
 
 @examples(100, HealthCheck.function_scoped_fixture)
 @given(place=st.floats(0, 1), length=st.integers(1, 3000), seed=st.integers(0, 2**32 - 1), keep=st.booleans())
-def test_noise_is_told(closed: Path, tmp_path: Path, place: float, length: int, seed: int, keep: bool) -> None:
+def test_noise_is_reported(closed: Path, tmp_path: Path, place: float, length: int, seed: int, keep: bool) -> None:
     """In the midst of a file, or instead of its end: whatever lengths it claims, nothing large is allocated."""
     data = closed.read_bytes()
     at = int(place * (len(data) - 1))

@@ -99,7 +99,7 @@ def test_nothing_is_lost_or_doubled_wherever_it_fails(
 
 @pytest.mark.parametrize("what", ["open", "write", "fsync"])
 def test_a_disk_that_fails_at_the_start(tmp_path: Path, what: str) -> None:
-    """There is no log yet to keep: whoever wants one hears it, and no half file is left."""
+    """There is no log yet to keep: the caller gets the error, and no half file is left."""
     with pytest.raises(OSError, match="no room"):
         LogWriter(tmp_path, metadata(), open_file=FailingDisk((what, 1)).open)
     assert list(tmp_path.iterdir()) == []

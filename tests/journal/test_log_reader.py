@@ -134,7 +134,7 @@ def test_an_event_that_cant_be_read(file: Path) -> None:
         one_line(file, "event at record 5")
 
 
-def test_a_flipped_byte_anywhere_is_told_or_changes_nothing(file: Path) -> None:
+def test_a_flipped_byte_anywhere_is_reported_or_changes_nothing(file: Path) -> None:
     """Chunks have checksums; of the rest, the file's beginning must be readable, and lengths must fit.
 
     Where the flip lies in the text of the metadata the file is another one, and its messages are the same.

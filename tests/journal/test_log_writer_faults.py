@@ -85,7 +85,7 @@ def test_a_disk_without_room_for_a_footer_gets_no_more_files(tmp_path: Path, cap
     assert events_of(read_back(tmp_path))[-1:] == [event]
 
 
-def test_a_file_for_whose_beginning_there_was_no_memory_is_made_anew(
+def test_a_file_is_made_again_if_memory_ran_out_at_its_beginning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is left of it must not be in the way of the next try, which takes the same name."""

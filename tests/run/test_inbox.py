@@ -94,7 +94,7 @@ def test_neighbours_that_imply_too_much(x: float, turn: float) -> None:
     assert desk.all() == [(jump, CloudReason.POSE_JUMP), (after, INTEGRATED)]
 
 
-def test_a_gap_is_told_before_a_jump() -> None:
+def test_a_gap_is_reported_before_a_jump() -> None:
     desk = Desk()
     desk.pose(0.0)
     desk.pose(1.0, 1000.0)

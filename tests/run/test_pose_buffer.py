@@ -75,7 +75,7 @@ def test_ten_stale_ones_that_rise_are_a_reset_clock() -> None:
 @pytest.mark.parametrize(
     "between", [pose(BEGIN + 2), pose(BEGIN), pose(0)], ids=["a good one", "a duplicate", "one that does not rise"]
 )
-def test_the_row_of_stale_ones_begins_anew(between: Odometry) -> None:
+def test_the_row_of_stale_ones_begins_again(between: Odometry) -> None:
     b = filled(BEGIN, BEGIN + 1)
     for n in range(1, STALE_ROW):
         assert b.add(pose(n), 10 + n)[0] is PoseReason.STALE

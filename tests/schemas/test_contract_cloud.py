@@ -178,7 +178,7 @@ def test_what_cannot_be_encoded(arguments: tuple) -> None:
         encode_cloud(*arguments)
 
 
-def test_what_a_cloud_holds_is_told() -> None:
+def test_the_size_that_a_cloud_reports() -> None:
     """Its payload where the points are a view of it; where they had to be moved, three times as much."""
     points = np.zeros((1000, 3), np.float32)
     plain = encode_cloud(points, 0, "lidar")

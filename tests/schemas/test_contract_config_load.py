@@ -87,7 +87,7 @@ def test_robots_and_sensors_of_a_file(file: Path) -> None:
     assert loaded.sources["robots.Rover.sensors.lidar.beam_sigma"] == "default"
 
 
-def test_whence_a_sensor_of_a_robot_came_whose_name_has_dots(tmp_path: Path) -> None:
+def test_the_source_of_a_robots_sensor_whose_name_has_dots(tmp_path: Path) -> None:
     path = tmp_path / "dots.toml"
     path.write_text('sensors."os.top".range_sigma = 0.1\n[robots."a.b".sensors."os.top"]\nbeam_sigma = 0.2')
     sources, prefix = load_config(path).sources, "robots.a.b.sensors.os.top"
@@ -134,7 +134,7 @@ def test_one_limit_alone_over_those_below(file: Path) -> None:
     assert load_config(file, {"map.limits": {"range": 1}}).config.map.limits == {"range": 1.0}
 
 
-def test_whence_each_limit_came(file: Path) -> None:
+def test_the_source_of_each_limit(file: Path) -> None:
     def sources(loaded: LoadedConfig) -> dict[str, str]:
         return {key: source for key, source in loaded.sources.items() if key.startswith("map.limits")}
 
@@ -178,7 +178,7 @@ def test_unknown_variables_and_keys(name: str, words: str) -> None:
     assert fault(None, {dotted: "1"}).startswith("command line: ")
 
 
-def test_a_fault_names_whence_the_value_came(file: Path, tmp_path: Path) -> None:
+def test_a_fault_names_the_source_of_the_value(file: Path, tmp_path: Path) -> None:
     environ = {"ROUGHMAP_MAP__LEVELS": "0"}
     assert fault(file, environ=environ).startswith("environment ROUGHMAP_MAP__LEVELS: map.levels: must be greater")
     assert fault(file, {"map.levels": 0}, {"ROUGHMAP_MAP__LEVELS": "3"}).startswith("command line: map.levels: must be")

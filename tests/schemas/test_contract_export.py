@@ -95,7 +95,7 @@ def test_settings_hold_to_them() -> None:
         assert faults(bad, root, root), bad
 
 
-def test_writing_them_anew(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_writing_them_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert export.main(["--folder", str(tmp_path / "json")]) == 0
     assert {path.name: path.read_bytes() for path in (tmp_path / "json").iterdir()} == {
         path.name: path.read_bytes() for path in FILES.values()

@@ -1,4 +1,4 @@
-"""What would let in whoever is on the network: judged from the session's whole configuration, and refused."""
+"""Sessions that anyone on the network could join are refused, judged by their whole configuration."""
 
 import json
 from pathlib import Path
@@ -109,7 +109,7 @@ def refusal(tmp_path: Path, text: str, **settings: object) -> str:
     return str(fault.value)
 
 
-def test_the_refusal_names_setting_and_mend(tmp_path: Path) -> None:
+def test_the_refusal_names_setting_and_remedy(tmp_path: Path) -> None:
     told = refusal(tmp_path, '[zenoh]\nlisten = ["tcp/0.0.0.0:7447#password=CANARY"]')
     assert told.startswith("zenoh.listen: tcp/0.0.0.0:7447 is open to the network without TLS")
     assert "--insecure" in told

@@ -41,7 +41,7 @@ SETTINGS: dict[str, dict[str, object]] = {
     "sensors": {"lidar": {"range_sigma": 0.12}},
 }
 """A wide error body over small cells: a point costs over a microsecond, so that the integration is what can't keep up,
-and not the disk or whoever publishes. What publishes may be held up for seconds where the machine does much else:
+and not the disk or the publisher. What publishes may be held up for seconds where the machine does much else:
 between a scan and its next pose, too."""
 
 FIRST_HZ = 50.0

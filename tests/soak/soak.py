@@ -57,7 +57,7 @@ SETTINGS: dict[str, dict[str, object]] = {
 
 @dataclass
 class Soaked:
-    """What came of a run: samples by name, when the service was started anew, what was counted, what is broken."""
+    """What came of a run: samples by name, when the service was restarted, what was counted, what is broken."""
 
     samples: list[dict[str, float]] = field(default_factory=list)
     starts: list[float] = field(default_factory=list)

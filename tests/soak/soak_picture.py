@@ -37,7 +37,7 @@ def draw(samples: list[dict[str, float]], starts: list[float], warm: float, path
             if len(names) > 1:
                 axis.legend(loc="best")
         for axis in axes[-1]:
-            axis.set_xlabel("minutes (grey: warm-up; dotted: started anew)")
+            axis.set_xlabel("minutes (grey: warm-up; dotted: restarted)")
         figure.savefig(path, dpi=110)
         plt.close(figure)
     return path

@@ -24,6 +24,6 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 
 @pytest.mark.parametrize(("limit", "kept"), [(0, False), (2 << 30, True), (64 << 20, False)])
 def test_freed_memory_is_kept_in_proportion_to_the_limit(limit: int, kept: bool) -> None:
-    """Pages that the system gives anew: ten answers of twice 13 MiB are 66,000 of them."""
+    """New pages from the system: ten answers of twice 13 MiB are 66,000 of them."""
     done = subprocess.run([sys.executable, "-c", FAULTS, str(limit)], capture_output=True, text=True, check=True)
     assert (int(done.stdout) < 1000) == kept

@@ -99,7 +99,7 @@ def test_a_file_whose_beginning_is_damaged_is_put_aside_whole(logs: Path) -> Non
     goes_on(logs, back)
 
 
-def test_a_run_without_its_beginning_is_not_begun_anew(logs: Path) -> None:
+def test_a_run_without_its_beginning_is_not_replaced_by_a_new_one(logs: Path) -> None:
     three_files(logs)
     path = sorted(logs.iterdir())[0]
     before = sorted(logs.iterdir())
@@ -121,7 +121,7 @@ def test_a_closed_file_that_seems_to_go_on_is_damaged(logs: Path) -> None:
 
 
 @pytest.mark.parametrize("what", ["tile", "cut", "row", "page"])
-def test_a_damaged_store_is_built_anew(logs: Path, store: Store, what: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_damaged_store_is_rebuilt(logs: Path, store: Store, what: str, caplog: pytest.LogCaptureFixture) -> None:
     digests = three_files(logs, store)
     with closing(sqlite3.connect(store.path)) as db, db:
         db.execute("PRAGMA journal_mode = DELETE")
@@ -233,7 +233,7 @@ def test_a_damage_before_the_cut_in_the_cut_s_file(logs: Path, store: Store, who
     assert again.epoch > back.epoch
 
 
-def test_epochs_rise_where_a_file_that_told_of_one_is_gone(logs: Path, store: Store) -> None:
+def test_epochs_rise_although_a_file_that_named_one_is_gone(logs: Path, store: Store) -> None:
     with LoggedRun(logs, store=store) as run:
         run.scan(0.0)
         run.checkpoint()

@@ -83,7 +83,7 @@ def test_a_snapshot_that_fails_lets_no_file_of_the_log_go(tmp_path: Path, monkey
         assert [path.name for path in (tmp_path / "log").glob("*.mcap")] == [run.writer.path.name]
 
 
-def test_what_the_store_does_not_take_is_told_once_and_so_is_its_end(
+def test_what_the_store_does_not_take_is_reported_once_and_so_is_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)

@@ -42,7 +42,7 @@ steps = st.lists(
 
 @examples(40)
 @given(steps)
-def test_whatever_is_done_a_map_that_spills_is_the_map_that_does_not(todo: list[tuple[str, int, float]]) -> None:
+def test_a_map_that_spills_equals_one_that_does_not(todo: list[tuple[str, int, float]]) -> None:
     """Points, readings (some held over what follows), tiles that leave, and resets, in any order."""
     with TemporaryDirectory() as folder, ExitStack() as stack:
         spill = stack.enter_context(Spill(Path(folder) / "tiles", 1000 * SLOT_BYTES))

@@ -90,7 +90,7 @@ def test_places_for_which_there_is_no_memory(spill: Spill, monkeypatch: pytest.M
     assert {tile: tiles_of(m)[tile] for tile in was} == was
 
 
-def test_the_file_is_made_anew_at_the_start_and_removed_at_the_end(tmp_path: Path) -> None:
+def test_the_file_is_created_at_the_start_and_removed_at_the_end(tmp_path: Path) -> None:
     path = tmp_path / "deep" / "tiles"
     with Spill(path, 10 * SLOT_BYTES), pytest.raises(SpillError, match="another service"):
         Spill(path, 10 * SLOT_BYTES)

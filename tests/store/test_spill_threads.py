@@ -103,7 +103,7 @@ def store_cuts(view: View, moments: Moments, store: Store, cut: Callable[[int, i
 def test_readers_and_snapshots_see_whole_moments_while_tiles_come_and_go(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And whoever reads or writes the spill file holds nobody up."""
+    """And reading or writing the spill file blocks no other thread."""
     moments, store = Moments(), Store(tmp_path / "map.db")
 
     def cut(epoch: int, sequence: int) -> Cut:

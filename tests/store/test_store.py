@@ -136,7 +136,7 @@ def test_set_aside_whole(store: Store, ground: RoughMap) -> None:
     assert list(store.path.parent.iterdir()) == [aside], "no write-ahead log of it is left behind"
 
 
-def test_a_file_that_is_no_store_is_named_with_its_mend(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_store_is_named_with_the_remedy(tmp_path: Path) -> None:
     path = tmp_path / "map.db"
     path.write_bytes(b"no database" * 1000)
     with pytest.raises(StoreError, match=r"map\.db: .*; not a map\.db, or damaged: .*move the file away"):

@@ -203,7 +203,7 @@ def test_a_tile_that_was_damaged_is_found_when_it_is_needed(logs: Path, store: S
     "change", ["newest_ns = -1", "digest = zeroblob(3)", "tx = tx + 1000000000", "oldest_ns = 'noon'"]
 )
 def test_an_index_that_can_be_none(logs: Path, store: Store, spills: ExitStack, change: str) -> None:
-    """It is a damaged store: put away, and built anew from the log; nothing of it is kept a place for."""
+    """The store is damaged: it is set aside and rebuilt from the log, and its tiles keep no place."""
     run = begun(logs, store)
     with closing(sqlite3.connect(store.path)) as db, db:
         db.execute(f"UPDATE tiles SET {change}")

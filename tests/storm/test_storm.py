@@ -1,7 +1,7 @@
 """Scans, queries, updates, snapshots, spilling and resets all at once against one real service.
 
 A scan covers a plate whose cells each get exactly one of its points, all at one height, the next scan's at another: so
-whoever sees cells of the plate with different counts or means saw half of a scan. ``--storm-seconds 60`` for a minute.
+a reader that sees cells of the plate with different counts or means saw half of a scan. ``--storm-seconds 60``: longer.
 """
 
 import threading
