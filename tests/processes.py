@@ -151,10 +151,10 @@ class Service:
             reader.join(WAIT_S)
         return code
 
-    def stop(self, number: signal.Signals = signal.SIGTERM) -> int:
+    def stop(self, number: signal.Signals = signal.SIGTERM, seconds: float = STOP_S) -> int:
         """Send a signal and wait for the end; return the exit code."""
         self.process.send_signal(number)
-        return self.finished()
+        return self.finished(seconds)
 
     def kill(self) -> None:
         """Kill it with SIGKILL."""

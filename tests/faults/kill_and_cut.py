@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 
 from cut_states import OPEN, RENAME, SYNC, UNLINK, Call, DiskTree, read_journal
-from load import Fleet, settings, status
+from load import SLOW_END_S, Fleet, settings, status
 from power_cuts import recovers
 from processes import Service
 from report import Trial
@@ -23,10 +23,12 @@ def kills_and_cuts(trial: Trial, folder: Path, rng: random.Random, number: int) 
     """Run a service under load once; for each kill, at a call of its journal, start from there and cut its power."""
     shim = Shim(folder, journal=True)
     fleet = Fleet(rng.randrange(1 << 30), clock=lambda: shim.journalled)
-    with Service(folder, environ=shim.environ, **settings(shim.root, log=FILES)) as service:
+    given = settings(shim.root, log=FILES, service={"shutdown_timeout": SLOW_END_S})
+    with Service(folder, environ=shim.environ, **given) as service:
         with fleet.at_work(service.ready()["endpoints"]):
             trial.expect(fleet.wait_promised(400, 60.0), "too few receipts")
-        trial.expect(service.stop() == 0, "the end of the run that is killed")
+        ended = service.stop(seconds=2 * SLOW_END_S)
+        trial.expect(ended == 0, f"the end of the run that is killed: {service.err[-3:]}")
     calls = list(read_journal(shim.journal))
     kills = [rng.choice(places) for _ in range(-(-number // 3)) for places in _places(calls)]
     for kill in kills[:number]:

@@ -30,6 +30,10 @@ SETTINGS: dict[str, dict[str, object]] = {
 """So that snapshots, rotation, checkpoints and spilling all happen within a second or two."""
 
 
+SLOW_END_S = 60.0
+"""The end of a service whose every call to the disk is recorded: on a busy machine it takes longer than by default."""
+
+
 def settings(disk: Path, **more: dict[str, object]) -> dict[str, dict[str, object]]:
     """`SETTINGS` with log and store below ``disk``, and ``more`` over them."""
     given = {**SETTINGS, "log": {**SETTINGS["log"], "directory": str(disk / "log")}}

@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 
 from cut_states import DiskTree, read_journal
-from load import Fleet, settings
+from load import SLOW_END_S, Fleet, settings
 from processes import Service
 from report import Trial
 from service_tools import inputs_of, read_back
@@ -34,7 +34,7 @@ def _cuts_of_a_run(trial: Trial, folder: Path, rng: random.Random, number: int, 
     shim = Shim(folder, journal=True)
     fleet = Fleet(rng.randrange(1 << 30), clock=lambda: shim.journalled)
     epochs: list[tuple[int, int]] = []
-    given = settings(shim.root, log={"max_file_bytes": "256KiB"})
+    given = settings(shim.root, log={"max_file_bytes": "256KiB"}, service={"shutdown_timeout": SLOW_END_S})
     for killed in (True, False):
         with Service(folder, environ=shim.environ, **given) as service:
             endpoints = service.ready()["endpoints"]
@@ -45,7 +45,8 @@ def _cuts_of_a_run(trial: Trial, folder: Path, rng: random.Random, number: int, 
                     service.process.kill()
                     service.finished()
             if not killed:
-                trial.expect(service.stop() == 0, "the end of the run that is cut")
+                ended = service.stop(seconds=2 * SLOW_END_S)
+                trial.expect(ended == 0, f"the end of the run that is cut: {service.err[-3:]}")
     if trial.found:
         return
     whole = [one.payload for one in inputs_of(read_back(shim.root / "log"))]

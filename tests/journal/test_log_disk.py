@@ -130,6 +130,19 @@ def test_while_it_fails(tmp_path: Path, noticed: Noticed) -> None:
     assert [(m.index, m.first_input, m.first_record, m.base_digest) for m in starts] == [(0, 1, 1, ""), (1, 2, 2, "")]
 
 
+def test_after_a_failure_the_log_is_writable_before_a_sync_is_confirmed(tmp_path: Path, noticed: Noticed) -> None:
+    """What follows a sync may be the next message, which must not be refused for a failure that is over."""
+    disk, seen, done = FailingDisk(), list[bool](), threading.Event()
+    with LogWriter(tmp_path, metadata(), open_file=disk.open) as writer:
+        disk.broken = True
+        writer.put(record(1))
+        writer.put(Sync(lambda: (seen.append(writer.ok), done.set())))
+        noticed.wait()
+        disk.broken = False
+        assert done.wait(WAIT_S)
+    assert seen == [True]
+
+
 def test_an_end_while_it_fails(tmp_path: Path) -> None:
     """It ends in time and says that not all was kept; what was synced is there."""
     disk = FailingDisk()

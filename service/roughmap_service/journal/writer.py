@@ -213,6 +213,9 @@ class LogWriter:
         self._queue.release(done)
         self._last_flush = self._last_sync = time.monotonic()
         self._busy_since(self._last_sync)
+        with self._disk:  # before anyone learns what is on the disk: the log can be written again
+            if not self.ok:
+                self._queue.set_error("")
         seconds = self._last_sync - begun
         _follow(lambda: self._on_sync(seconds))
         for item in done:
@@ -248,7 +251,6 @@ class LogWriter:
                     logger.error("the log was given up (%s): its last %d records are lost", self.error, self._kept())
                     return False
                 continue
-            self._queue.set_error("")
             text = f"the log can be written again: {self.path}"
             note(logger, logging.WARNING, "recovered", text, always=True, file=str(self.path))
             return True
