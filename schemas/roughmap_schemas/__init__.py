@@ -20,6 +20,7 @@ from roughmap_schemas.events import (
     Event,
     IntegrationEvent,
     ResetEvent,
+    SensorTimeEvent,
     decode_event,
     encode_event,
 )
@@ -44,8 +45,8 @@ from roughmap_schemas.messages import (
 )
 from roughmap_schemas.odometry import Odometry, decode_odometry, encode_odometry
 from roughmap_schemas.reasons import INTEGRATED, CloudReason, PointReason, PoseReason, QueryCode, Reason, Refusal
+from roughmap_schemas.robot_sections import SensorConfig
 from roughmap_schemas.run_metadata import RunMetadata
-from roughmap_schemas.sections import SensorConfig
 from roughmap_schemas.selectors import CellsQuery, RegionQuery, TileQuery
 from roughmap_schemas.transform import Transform, decode_transform, encode_transform
 
@@ -89,6 +90,7 @@ __all__ = [
     "ResetEvent",
     "RunMetadata",
     "SensorConfig",
+    "SensorTimeEvent",
     "TileInfo",
     "TileQuery",
     "Transform",

@@ -12,15 +12,14 @@ from pydantic import AfterValidator, Field, SecretStr, model_validator
 
 from roughmap_schemas.faults import ConfigFault
 from roughmap_schemas.keys import TEMPLATES, Keys
+from roughmap_schemas.robot_sections import RobotConfig, SensorConfig
 from roughmap_schemas.sections import (
     HttpConfig,
     InputConfig,
     LogConfig,
     MapConfig,
     QueryConfig,
-    RobotConfig,
     Section,
-    SensorConfig,
     ServiceConfig,
     StoreConfig,
     UpdatesConfig,
@@ -31,6 +30,7 @@ from roughmap_schemas.values import Frame, Name
 REMOVED: Final = {
     "input.max_poses": "20000 poses per robot",
     "input.max_transforms": "1000 transforms per robot",
+    "input.max_turn": "leaps of 0.3 rad beyond 50 rad/s^2",
     "input.pose_queue": "10000 queued poses and transforms",
     "service.control_timeout": "30 s",
 }
@@ -82,6 +82,8 @@ class Config(Section):
         given: Any = values  # from a file: it may be anything that JSON can hold
         if isinstance(given, dict):
             given = {section: kept(section, table) for section, table in given.items()}
+            if isinstance(given.get("map"), dict):  # logs of versions without this limit had none
+                given["map"] = {"max_vertical_sigma": "inf", **given["map"]}
         return cls.model_validate(given)
 
     @model_validator(mode="before")
@@ -133,12 +135,14 @@ class Config(Section):
         # Imported here: it loads the kernels, which most readers of a configuration don't need.
         from roughmap.cell import STATE_VERSION  # noqa: PLC0415
 
-        names = ("name", "frame_id", "cell_size", "error_model", "coverage", "min_radius", "min_distance", "min_share")
-        values = self.map.model_dump(mode="json")
-        return {
-            "state_version": STATE_VERSION,
-            **{name: values[name] for name in (*names, "max_horizontal_radius", "bounds")},
-        }
+        names: tuple[str, ...] = (
+            "name", "frame_id", "cell_size", "error_model", "coverage", "min_radius", "min_distance", "min_share",
+            "max_horizontal_radius", "bounds",
+        )  # fmt: skip
+        values = _jsonable(self.map.model_dump(mode="python"))
+        if math.isfinite(self.map.max_vertical_sigma):  # maps of versions without this limit had none
+            names = *names, "max_vertical_sigma"
+        return {"state_version": STATE_VERSION, **{name: values[name] for name in names}}
 
     def public_dict(self) -> dict[str, Any]:
         """Return all settings as JSON values that validate to the same settings, secrets hidden, infinity as "inf"."""

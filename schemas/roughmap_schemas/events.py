@@ -53,10 +53,27 @@ class ResetEvent(_Closed):
     sequence: Number
 
 
-Event = IntegrationEvent | CheckpointEvent | ResetEvent
+class SensorTimeEvent(_Closed):
+    """How the times of a sensor's points are read, from this event on.
+
+    ``field`` names the clouds' time field ("" for none). ``unit`` is that of its values; they count from the cloud's
+    stamp ("start"), backwards from it ("end", values may be negative) or from the epoch ("absolute").
+    """
+
+    kind: Literal["sensor_time"] = "sensor_time"
+    epoch: Number
+    robot: str
+    frame_id: str
+    field: str
+    unit: Literal["s", "ms", "us", "ns"]
+    origin: Literal["start", "end", "absolute"]
+    sequence: Number
+
+
+Event = IntegrationEvent | CheckpointEvent | ResetEvent | SensorTimeEvent
 
 EVENT: Final[TypeAdapter[Event]] = TypeAdapter(Annotated[Event, Field(discriminator="kind")])
-KINDS: Final = ("integration", "checkpoint", "reset")
+KINDS: Final = ("integration", "checkpoint", "reset", "sensor_time")
 """``forget``, ``edit`` and ``remap`` are reserved for later versions, and unknown to this one."""
 
 

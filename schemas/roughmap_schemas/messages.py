@@ -283,7 +283,9 @@ class MapStatus(Reply):
     """Missing numbers of published messages, by robot: the sum over its clouds, poses and transforms, which are
     numbered separately by their 8-byte attachments."""
     jumps: dict[str, Number]
-    """Jumps of a robot's frame transforms, by robot."""
+    """Leaps of a robot's odometry and of its frame transforms, by robot."""
+    problems: Annotated[dict[str, str], Field(max_length=32)] = {}
+    """What is wrong, one sentence each with cause and remedy, by subject: "robot r1", "robot r1 sensor lidar", "disk"."""
     lag_s: Lag
     rates: Rates
     memory_bytes: Number

@@ -9,6 +9,7 @@ class PointReason(StrEnum):
 
     NOT_FINITE = "not_finite"
     NO_RETURN = "no_return"
+    DUPLICATE_RETURN = "duplicate_return"
     TIME = "time"
     NO_POSE = "no_pose"
     SELF = "self"
@@ -30,6 +31,8 @@ class CloudReason(StrEnum):
     EMPTY = "empty"
     OVERLOAD = "overload"
     CLOCK_RESET = "clock_reset"
+    CLOCK_OFFSET = "clock_offset"
+    TIME_FORM = "time_form"
 
 
 class PoseReason(StrEnum):
@@ -37,6 +40,9 @@ class PoseReason(StrEnum):
 
     DUPLICATE = "duplicate"
     STALE = "stale"
+    AHEAD = "ahead"
+    OUT_OF_ORDER = "out_of_order"
+    FROZEN = "frozen"
     POSE_FRAME = "pose_frame"
     BAD_COVARIANCE = "bad_covariance"
 
@@ -54,6 +60,7 @@ class Refusal(StrEnum):
     TOO_LARGE = "too_large"
     UNKNOWN_SENSOR = "unknown_sensor"
     UNKNOWN_ROBOT = "unknown_robot"
+    UNSET_STAMP = "unset_stamp"
     BUSY = "busy"
     LOG_UNAVAILABLE = "log_unavailable"
     SHUTTING_DOWN = "shutting_down"
@@ -86,28 +93,34 @@ MEANING: Final[dict[type[Reason], dict[str, str]]] = {
     PointReason: {
         "not_finite": "NaN or infinite",
         "no_return": "no echo, as from the sky",
+        "duplicate_return": "one of hundreds of equal points: no echo, moved off zero",
         "time": "time not within 1 s after the scan's stamp",
         "no_pose": "no poses around its time",
         "self": "on the robot itself (sensors.*.exclude)",
         "range": "nearer than min_range or farther than max_range",
         "ceiling": "higher above the sensor than ceiling",
         "covariance": "invalid covariance",
-        "uncertain": "horizontal error over max_horizontal_radius",
+        "uncertain": "error over max_horizontal_radius or max_vertical_sigma",
         "bounds": "outside map.bounds",
     },
     CloudReason: {
         "pose_gap": "neighbouring poses more than max_pose_gap apart",
-        "pose_jump": "poses imply more than max_speed or max_turn",
+        "pose_jump": "the robot's pose leapt within its time",
         "no_pose": "no poses around it within max_wait",
         "late": "older than the poses kept (pose_history)",
         "too_many_tiles": "needs more tiles than max_new_tiles or max_tiles allow",
         "empty": "no point was accepted",
         "overload": "dropped: more input than can be integrated",
         "clock_reset": "the robot's clock was set back",
+        "clock_offset": "the sensor's clock differs from the robot's",
+        "time_form": "the meaning of its points' times is unclear",
     },
     PoseReason: {
         "duplicate": "a second pose with the same stamp",
         "stale": "older than the poses kept (pose_history)",
+        "ahead": "one stamp far ahead of all others",
+        "out_of_order": "older than the pose before it",
+        "frozen": "one stamp again and again",
         "pose_frame": "no transform from its frame to the map's",
         "bad_covariance": "invalid covariance",
     },
@@ -118,6 +131,7 @@ MEANING: Final[dict[type[Reason], dict[str, str]]] = {
         "too_large": "over max_message bytes or max_points",
         "unknown_sensor": "its frame has no [sensors] table",
         "unknown_robot": "not in input.robots, or over max_robots",
+        "unset_stamp": "its stamp is 0, which means not set",
         "busy": "the input queue was full",
         "log_unavailable": "the log can't be written",
         "shutting_down": "the service was ending",

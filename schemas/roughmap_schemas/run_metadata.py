@@ -28,7 +28,8 @@ class RunMetadata(Message):
     order the files of one. ``index`` counts the run's files from 0. ``first_input`` is the number of the first input
     in the file, ``first_record`` that of its first input or event, both from 1 over the run. ``base_sequence`` and
     ``base_digest`` are the map's before the file's first event; the digest is "" if the file was begun because the one
-    before it could no longer be written. ``configuration`` is without secrets.
+    before it could no longer be written. ``rules`` is the version of the rules that decided on poses and clouds; their
+    events hold what was decided. ``configuration`` is without secrets.
     """
 
     run: Hex32
@@ -40,6 +41,7 @@ class RunMetadata(Message):
     base_sequence: Number
     base_digest: Hex32 | Literal[""]
     version: str
+    rules: Annotated[int, Field(ge=1)] = 1
     configuration: dict[str, Any]
 
     def to_record(self) -> dict[str, str]:

@@ -3,8 +3,7 @@
 Units are seconds, metres, radians, m/s, rad/s and bytes. Six numbers are x y z roll pitch yaw.
 """
 
-import math
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, SecretStr, model_validator
 
@@ -12,8 +11,6 @@ from roughmap_schemas.layers import LAYERS, LIMIT_NAMES
 from roughmap_schemas.values import (
     NUMBER,
     AtLeastOne,
-    Box,
-    Ceiling,
     Frame,
     MaybeBounds,
     MaybeNone,
@@ -24,12 +21,9 @@ from roughmap_schemas.values import (
     Once,
     Positive,
     Reach,
-    Real,
-    Rotation,
     Share,
     SixSigmas,
     Size,
-    Three,
 )
 
 MAX_FOOTPRINT_CELLS: Final = 512
@@ -80,6 +74,8 @@ class MapConfig(Section):
     """A point counts in a cell if the cell's share is at least this fraction of the point's largest share."""
     max_horizontal_radius: Measure = 0.5
     """A point whose error body reaches further horizontally (metres) is rejected as `uncertain`."""
+    max_vertical_sigma: Reach = 0.5
+    """A point whose height has a larger standard deviation (metres) is rejected as `uncertain`."""
     height_tolerance: Positive = 0.05
     """Full width of the height interval of `confidence_level`: the true mean is within half of it, metres."""
     bounds: MaybeBounds = None
@@ -176,9 +172,12 @@ class InputConfig(Section):
     pose_history: Positive = 10.0
     """How long poses are kept, counted back from the robot's newest pose."""
     max_speed: Positive = 30.0
-    """A cloud whose poses imply a faster motion is rejected as `pose_jump`."""
-    max_turn: Positive = 20.0
-    """A cloud whose poses imply a faster rotation is rejected as `pose_jump`."""
+    """A pose that moves faster, by more than ``max_leap``, is a leap."""
+    max_leap: Positive = 0.3
+    """Distance from where the robot's motion would have brought it, beyond which a pose is a leap. Clouds over a leap are
+    rejected as `pose_jump`."""
+    max_acceleration: Positive = 20.0
+    """Acceleration that the robot may have; half of it times the squared time between two poses adds to ``max_leap``."""
     pose_sigma: SixSigmas = (0.05, 0.05, 0.05, 0.01, 0.01, 0.01)
     """Standard deviations of poses without a covariance."""
     placed_sigma: NotNegative = 0.02
@@ -208,64 +207,6 @@ class InputConfig(Section):
                 f"would always be refused as busy, and at most {MAX_MESSAGE_BYTES}; found {self.max_message}"
             )
         return self
-
-
-class SensorConfig(Section):
-    """A sensor: its pose on the robot, its errors, and which of its points are kept."""
-
-    translation: Three = (0.0, 0.0, 0.0)
-    """Position of the sensor in the robot's base frame."""
-    rotation: Rotation = (0.0, 0.0, 0.0, 1.0)
-    """Rotation of the sensor in the robot's base frame: quaternion x y z w."""
-    range_sigma: NotNegative
-    """Standard deviation of a range."""
-    range_sigma_per_m: NotNegative = 0.0
-    """Added to `range_sigma` for each metre of range."""
-    beam_sigma: NotNegative = 0.0
-    """Standard deviation of a beam's direction."""
-    mount_sigma: SixSigmas = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    """Standard deviations of the mounting, in the robot's axes."""
-    min_range: NotNegative = 0.0
-    """Nearer points are rejected."""
-    max_range: Reach = math.inf
-    """Farther points are rejected."""
-    ceiling: Ceiling = math.inf
-    """Points higher above the sensor than `ceiling` + `ceiling_slope` times their horizontal distance are rejected."""
-    ceiling_slope: Real = 0.0
-    """See `ceiling`; metres per metre."""
-    exclude: list[Box] = []
-    """Boxes xmin, ymin, zmin, xmax, ymax, zmax in the robot's frame whose points are rejected: the robot itself."""
-
-    @model_validator(mode="after")
-    def _ranges(self) -> "SensorConfig":
-        if not self.min_range < self.max_range:
-            raise ValueError(f"min_range must be below max_range; found {self.min_range} and {self.max_range}")
-        return self
-
-
-def _all_optional(schema: dict[str, Any]) -> None:
-    schema.pop("required", None)
-    for member in schema["properties"].values():
-        member.pop("default", None)
-
-
-class SensorOverrides(SensorConfig):
-    """A robot's own settings of a sensor; others come from the general table of that frame."""
-
-    # Only for the JSON Schema: when a robot is validated, its tables are already merged over the general ones.
-    model_config = ConfigDict(json_schema_extra=_all_optional)
-
-
-def _as_it_is(value: object) -> object:
-    return value
-
-
-class RobotConfig(Section):
-    """One robot: settings of its sensors, merged over the general ones of the same frame."""
-
-    sensors: Annotated[
-        dict[Frame, SensorConfig], BeforeValidator(_as_it_is, json_schema_input_type=dict[Frame, SensorOverrides])
-    ] = {}
 
 
 class UpdatesConfig(Section):

@@ -1,5 +1,6 @@
 """Which cloud is decided next, and how: a state machine over clouds, poses and the times given to it."""
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -191,7 +192,7 @@ class Inbox:
                 outcome = INTEGRATED
                 if too_far_apart(poses, self.settings.max_pose_gap_ns):
                     outcome = CloudReason.POSE_GAP
-                elif too_fast(poses, self.settings.max_speed, self.settings.max_turn):
+                elif too_fast(poses, self.settings.max_speed, math.inf):
                     outcome = CloudReason.POSE_JUMP
                 return Proposal(cloud, outcome, tuple((pose.input, pose.transform) for pose in poses))
         if now >= cloud.arrival.at + self.settings.max_wait:  # the same sum as in deadline(), to the bit

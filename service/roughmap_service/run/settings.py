@@ -48,7 +48,8 @@ class Settings:
         self.max_pose_gap_ns = Limits(max_pose_gap=inputs.max_pose_gap).max_gap_ns
         self.history_ns = round(min(inputs.pose_history, LONGEST_HISTORY) * NS)
         self.max_speed = inputs.max_speed
-        self.max_turn = inputs.max_turn
+        self.max_leap = inputs.max_leap
+        self.max_acceleration = inputs.max_acceleration
         self.queue_limit = inputs.queue_limit
         self.max_robots = inputs.max_robots
         self.max_new_tiles = config.map.max_new_tiles
