@@ -177,10 +177,10 @@ class LoggedRun:
         self.writer.put(Rotate(self.run.map.digest()))
 
     def scan(self, t: float, x: float = 0.0, robot: str = "rover") -> IntegrationEvent:
-        """Put a pose, a cloud and a later pose; decide the cloud."""
-        self.put(Kind.ODOMETRY, odometry(t, x), robot)
-        self.put(Kind.POINTS, cloud(t + 0.05), robot)
-        self.put(Kind.ODOMETRY, odometry(t + 0.1, x + 0.1), robot)
+        """Put a pose, a cloud and a later pose, ``t`` tenths of a second after T0; decide the cloud."""
+        self.put(Kind.ODOMETRY, odometry(t * 0.1, x), robot)
+        self.put(Kind.POINTS, cloud(t * 0.1 + 0.03), robot)
+        self.put(Kind.ODOMETRY, odometry(t * 0.1 + 0.06, x + 0.1), robot)
         return self.decide()[-1]
 
     def cut(self) -> Cut:

@@ -19,7 +19,7 @@ from roughmap_schemas.kinds import Kind
 from roughmap_service.run.decoding import decode
 from roughmap_service.run.inbox import Proposal
 from roughmap_service.run.placing import span
-from roughmap_service.run.run import Run, RunError, Taken
+from roughmap_service.run.run import Run, RunError
 from roughmap_service.run.settings import Settings, new_map
 
 BAD = -1
@@ -31,7 +31,8 @@ def state(settings: Config | None = None) -> Run:
     s = Run(Settings(values), new_map(values), epoch=1)
     for number, t in enumerate((0, SECOND // 10), 1):
         pose = Odometry(T0 + t, "map", "base", (0.0, 0.0, 1.0), LEVEL, PRECISE)
-        assert s.take("rover", pose, ("rover", "odometry", str(t))) == Taken(number)
+        taken = s.take("rover", pose, ("rover", "odometry", str(t)), T0)
+        assert taken.input == number
     return s
 
 

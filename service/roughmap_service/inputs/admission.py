@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Collection
 
-from roughmap_schemas import Cloud, MessageFault, Refusal
+from roughmap_schemas import Cloud, MessageFault, Odometry, Refusal
 from roughmap_service.host.counters import OTHERS, Counters
 from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.queue import InputMessage
@@ -33,9 +33,15 @@ def admit(message: InputMessage, settings: Settings, known: Collection[str], inb
         content = decode(message.kind, message.payload, settings)
     except MemoryError:
         raise MessageFault(Refusal.BUSY, "not enough memory to decode the message; try again") from None
+    if content.stamp_ns == 0 and (isinstance(content, Odometry) or _of_sensor(content, settings)):
+        raise MessageFault(Refusal.UNSET_STAMP, "its stamp is 0, which means not set: fill in the header's stamp")
     if isinstance(content, Cloud):
         _check_cloud(message, content, settings, inbox)
     return content
+
+
+def _of_sensor(content: Content, settings: Settings) -> bool:
+    return isinstance(content, Cloud) and content.frame_id != settings.frame_id
 
 
 def refuse(counters: Counters, robot: str, fault: MessageFault) -> None:

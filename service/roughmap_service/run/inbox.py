@@ -1,14 +1,15 @@
-"""Which cloud is decided next, and how: a state machine over clouds, poses and the times given to it."""
+"""Which cloud is decided next, and how: a state machine over clouds, robots and the times given to it."""
 
-import math
-from collections import deque
-from collections.abc import Mapping
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Self
 
 from roughmap_schemas import Cloud, CloudReason
 from roughmap_service.run.placing import span
-from roughmap_service.run.poses import PoseBuffer, too_far_apart, too_fast
+from roughmap_service.run.poses import Pose, leaps, too_far_apart
+from roughmap_service.run.robot import Robot
+from roughmap_service.run.sensor_clock import Doubt
 from roughmap_service.run.settings import Settings
 
 INTEGRATED = "integrated"
@@ -38,6 +39,11 @@ class LoggedCloud:
     last_ns: int
     size: int
     arrival: Arrival
+
+    @property
+    def sensor(self) -> tuple[str, str]:
+        """Its robot and frame."""
+        return self.robot, self.cloud.frame_id
 
     @classmethod
     def of(cls, number: int, robot: str, cloud: Cloud, arrival: Arrival) -> Self:
@@ -79,8 +85,8 @@ class Row:
 
 
 @dataclass(slots=True)
-class RobotQueue:
-    """One robot's clouds, published and promised ones in separate rows.
+class SensorQueue:
+    """One sensor's clouds, published and promised ones in separate rows.
 
     Thousands may wait, and each message needs the first and the earliest, so both are kept. Only the first of a row
     ever leaves: it is decided or, if published, rejected for lack of room.
@@ -119,15 +125,16 @@ class RobotQueue:
 
 @dataclass
 class Inbox:
-    """Each robot's clouds in order of arrival; robots don't wait for each other.
+    """Each sensor's clouds in order of arrival; sensors don't wait for each other.
 
-    ``poses`` are the robots' pose buffers; the run fills them. Stamps are never compared with wall time: the only clock
-    is the monotonic time of arrivals and of `tick`.
+    ``robots`` and ``doubts`` are the run's. Stamps are never compared with wall time: the only clock is the monotonic
+    time of arrivals and of `tick`.
     """
 
     settings: Settings
-    poses: Mapping[str, PoseBuffer]
-    queues: dict[str, RobotQueue] = field(default_factory=dict)
+    robots: Mapping[str, Robot]
+    doubts: Mapping[int, Doubt]
+    queues: dict[tuple[str, str], SensorQueue] = field(default_factory=dict)
     ended: deque[Proposal] = field(default_factory=deque)
     size: int = 0
 
@@ -140,7 +147,7 @@ class Inbox:
 
     def feed(self, cloud: LoggedCloud) -> None:
         """Add a logged cloud. Past the limit, reject the oldest published cloud of the robot with most bytes."""
-        self.queues.setdefault(cloud.robot, RobotQueue()).append(cloud)
+        self.queues.setdefault(cloud.sensor, SensorQueue()).append(cloud)
         self.size += cloud.size
         while self.size > self.settings.queue_limit and self.size > cloud.size:
             victim = self._victim()
@@ -148,26 +155,21 @@ class Inbox:
                 return
             self._end(victim, CloudReason.OVERLOAD)
 
-    def clock_reset(self, robot: str) -> None:
-        """Reject the robot's clouds: its clock was set back, and no more poses of the old clock will arrive."""
-        while robot in self.queues:
-            self._end(self.queues[robot].first, CloudReason.CLOCK_RESET)
-
-    def holds_before(self, robot: str, stamp_ns: int) -> bool:
+    def holds_before(self, robot: str, stamp_ns: float) -> bool:
         """Return whether a waiting cloud of the robot has a point before that time."""
-        return robot in self.queues and self.queues[robot].earliest_ns < stamp_ns
+        return any(of == robot and queue.earliest_ns < stamp_ns for (of, _), queue in self.queues.items())
 
     def tick(self, now: float) -> Proposal | None:
         """Return the next decision at monotonic time ``now`` (s), or None.
 
-        Robots take turns, so that a flood from one does not hold up the others.
+        Sensors take turns, so that a flood from one does not hold up the others.
         """
         if self.ended:
             return self.ended.popleft()
-        for robot, queue in self.queues.items():
+        for sensor, queue in self.queues.items():
             proposal = self._judge(queue.first, now)
             if proposal is not None:
-                self.queues[robot] = self.queues.pop(robot)  # to the end of the line
+                self.queues[sensor] = self.queues.pop(sensor)  # to the end of the line
                 self._remove(proposal.cloud)
                 return proposal
         return None
@@ -183,33 +185,53 @@ class Inbox:
     def _judge(self, cloud: LoggedCloud, now: float) -> Proposal | None:
         if cloud.cloud.frame_id == self.settings.frame_id:
             return Proposal(cloud, INTEGRATED)
-        buffer = self.poses.get(cloud.robot)
-        if buffer is not None:
-            if cloud.first_ns < buffer.horizon_ns:
-                return Proposal(cloud, CloudReason.LATE)
+        due = now >= cloud.arrival.at + self.settings.max_wait  # the same sum as in deadline(), to the bit
+        doubt, robot = self.doubts.get(cloud.input), self.robots.get(cloud.robot)
+        if doubt is not None and doubt.reason is not None:
+            return Proposal(cloud, doubt.reason)
+        if robot is None:
+            return Proposal(cloud, CloudReason.NO_POSE) if due else None
+        clock, buffer = robot.clock, robot.buffer
+        if cloud.input < clock.begun:
+            return Proposal(cloud, CloudReason.CLOCK_RESET)
+        if cloud.first_ns < buffer.horizon_ns and not clock.anew_from:
+            return Proposal(cloud, CloudReason.LATE)
+        if not clock.doubts(cloud.input, cloud.last_ns):
+            if doubt is not None and clock.taken < doubt.until_taken and not due:
+                return None
+            if doubt is not None and doubt.far:
+                return Proposal(cloud, CloudReason.CLOCK_OFFSET)
             if buffer.covers(cloud.first_ns, cloud.last_ns):
-                poses = buffer.window(cloud.first_ns, cloud.last_ns)
-                outcome = INTEGRATED
-                if too_far_apart(poses, self.settings.max_pose_gap_ns):
-                    outcome = CloudReason.POSE_GAP
-                elif too_fast(poses, self.settings.max_speed, math.inf):
-                    outcome = CloudReason.POSE_JUMP
-                return Proposal(cloud, outcome, tuple((pose.input, pose.transform) for pose in poses))
-        if now >= cloud.arrival.at + self.settings.max_wait:  # the same sum as in deadline(), to the bit
-            return Proposal(cloud, CloudReason.NO_POSE)
-        return None
+                return self._place(cloud, buffer.window(cloud.first_ns, cloud.last_ns))
+        return Proposal(cloud, CloudReason.NO_POSE) if due else None
+
+    def _place(self, cloud: LoggedCloud, poses: Sequence[Pose]) -> Proposal:
+        outcome = INTEGRATED
+        if too_far_apart(poses, self.settings.max_pose_gap_ns):
+            outcome = CloudReason.POSE_GAP
+        elif leaps(poses):
+            outcome = CloudReason.POSE_JUMP
+        return Proposal(cloud, outcome, tuple((pose.input, pose.transform) for pose in poses))
 
     def _victim(self) -> LoggedCloud | None:
-        queues = [queue for queue in self.queues.values() if queue.published.clouds]
-        return max(queues, key=lambda queue: queue.size).published.clouds[0] if queues else None
+        sizes: Counter[str] = Counter()
+        for (robot, _), queue in self.queues.items():
+            sizes[robot] += queue.size
+        rows = [
+            (sizes[robot], queue.published.clouds[0])
+            for (robot, _), queue in self.queues.items()
+            if queue.published.clouds
+        ]
+        most = max((size for size, _ in rows), default=0)
+        return min((cloud for size, cloud in rows if size == most), key=lambda cloud: cloud.input, default=None)
 
     def _end(self, cloud: LoggedCloud, reason: CloudReason) -> None:
         self._remove(cloud)
         self.ended.append(Proposal(cloud, reason))
 
     def _remove(self, cloud: LoggedCloud) -> None:
-        queue = self.queues[cloud.robot]
+        queue = self.queues[cloud.sensor]
         queue.remove(cloud)
         if not queue:
-            del self.queues[cloud.robot]
+            del self.queues[cloud.sensor]
         self.size -= cloud.size

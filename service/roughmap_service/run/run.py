@@ -33,7 +33,9 @@ from roughmap_service.run.decoding import Content
 from roughmap_service.run.duplicates import Duplicates, Identity
 from roughmap_service.run.inbox import INTEGRATED, Arrival, Inbox, LoggedCloud, Proposal
 from roughmap_service.run.placing import place_cloud
-from roughmap_service.run.poses import NoTrajectory, Pose, PoseBuffer
+from roughmap_service.run.poses import NoTrajectory, Pose
+from roughmap_service.run.robot import OdometryTaken, Robot
+from roughmap_service.run.sensor_clock import Doubt, SensorClock
 from roughmap_service.run.settings import Settings
 
 KNOWN_WHEN_PLACED = (INTEGRATED, CloudReason.EMPTY, CloudReason.TOO_MANY_TILES)
@@ -52,13 +54,13 @@ class RunError(ReportedError):
 class Taken:
     """What a message did to the run.
 
-    ``input`` is its number, ``rejected`` why an odometry or transform gives no pose. ``clock_reset``: the robot's clock
-    was set back. ``jumped``: its transform moved further than the sigmas of its poses allow.
+    ``input`` is its number, ``odometry`` what an odometry led to, ``rejected`` why a transform is not taken.
+    ``jumped``: its transform moved further than the sigmas of its poses allow.
     """
 
     input: int
+    odometry: OdometryTaken | None = None
     rejected: PoseReason | None = None
-    clock_reset: bool = False
     jumped: bool = False
 
 
@@ -70,6 +72,7 @@ class Run:
         input: number of the last message; the log's numbers begin at 1.
         record: number of the last record, messages and events together.
         clouds: logged clouds without a decision, by input number.
+        doubts: what is wrong with the stamps of those in doubt.
         newest_stamp_ns: of the points in the map.
     """
 
@@ -79,17 +82,20 @@ class Run:
     input: int = 0
     record: int = 0
     newest_stamp_ns: int = 0
-    poses: dict[str, PoseBuffer] = field(default_factory=dict)
+    robots: dict[str, Robot] = field(default_factory=dict)
     clouds: dict[int, LoggedCloud] = field(default_factory=dict)
+    doubts: dict[int, Doubt] = field(default_factory=dict)
     duplicates: Duplicates = field(init=False)
     inbox: Inbox = field(init=False)
 
     def __post_init__(self) -> None:
         self.duplicates = Duplicates(self.settings.config.input.duplicates)
-        self.inbox = Inbox(self.settings, self.poses)
+        self.inbox = Inbox(self.settings, self.robots, self.doubts)
 
-    def take(self, robot: str, content: Content, identity: Identity, arrival: Arrival | None = None) -> Taken:
-        """Number the next message and apply it.
+    def take(
+        self, robot: str, content: Content, identity: Identity, received_ns: int, arrival: Arrival | None = None
+    ) -> Taken:
+        """Number the next message and apply it; ``received_ns`` is the wall time of its arrival, as logged.
 
         With an ``arrival`` a cloud waits in the inbox. A replayed one has none: its event holds what was decided.
         """
@@ -98,18 +104,17 @@ class Run:
         self.duplicates.add(identity, self.input)
         if isinstance(content, Cloud):
             cloud = self.keep(self.input, robot, content, arrival or REPLAYED)
+            self._judge_stamp(cloud, received_ns)
             if arrival is not None:
                 self.inbox.feed(cloud)
             return Taken(self.input)
-        buffer = self.buffer(robot)
         if isinstance(content, Odometry):
-            rejected, clock_reset = buffer.add(content, self.input)
-            if clock_reset:
-                self.inbox.clock_reset(robot)
-            return Taken(self.input, rejected, clock_reset)
-        jumps = buffer.jumps
-        rejected = buffer.add_transform(content, self.input)
-        return Taken(self.input, rejected, jumped=buffer.jumps > jumps)
+            taken = self.robot(robot).take_odometry(content, self.input, received_ns)
+            if taken.ended_from:
+                self._end_clouds(robot, taken.ended_from)
+            return Taken(self.input, taken)
+        rejected, jumped = self.robot(robot).add_transform(content, self.input)
+        return Taken(self.input, rejected=rejected, jumped=jumped)
 
     def keep(self, number: int, robot: str, content: Cloud, arrival: Arrival = REPLAYED) -> LoggedCloud:
         """Keep a logged cloud until its event."""
@@ -160,7 +165,9 @@ class Run:
         def change() -> IntegrationEvent:
             self.map.integrate(prepared)
             del self.clouds[cloud.input]  # with the map held: readers that see no cloud waiting see all of them mapped
+            self.doubts.pop(cloud.input, None)
             if prepared.accepted:
+                self._count_integrated(cloud)
                 self.newest_stamp_ns = max(self.newest_stamp_ns, cloud.last_ns)
             return IntegrationEvent(
                 epoch=self.epoch,
@@ -180,8 +187,12 @@ class Run:
         return ResetEvent(epoch=self.epoch + 1, sequence=self.map.sequence + 1)
 
     def reset(self) -> ResetEvent:
-        """Empty the map; a new epoch begins."""
+        """Empty the map; a new epoch begins, into which the messages so far may be sent again."""
         self.map.reset()
+        if self.settings.rules > 1:
+            self.duplicates.clear()
+            for robot in self.robots.values():
+                robot.begin_map(self.input + 1)
         self.epoch += 1
         self.newest_stamp_ns = 0
         return ResetEvent(epoch=self.epoch, sequence=self.map.sequence)
@@ -210,24 +221,46 @@ class Run:
     def use(self, settings: Settings) -> None:
         """Continue under other settings, such as those of the log's next file."""
         self.settings = self.inbox.settings = settings
-        for buffer in self.poses.values():
-            buffer.history_ns = settings.history_ns
-            buffer.jump_m, buffer.jump_rad = settings.jump_m, settings.jump_rad
-            buffer.max_poses, buffer.max_transforms = settings.max_poses, settings.max_transforms
+        for robot in self.robots.values():
+            robot.use(settings)
 
-    def buffer(self, robot: str) -> PoseBuffer:
-        """Return the robot's pose buffer, made when it is first needed."""
-        if robot not in self.poses:
-            s = self.settings
-            self.poses[robot] = PoseBuffer(
-                s.frame_id, s.history_ns, s.jump_m, s.jump_rad, s.max_poses, s.max_transforms
-            )
-        return self.poses[robot]
+    def robot(self, name: str) -> Robot:
+        """Return the state of a robot, made when it is first needed."""
+        if name not in self.robots:
+            self.robots[name] = Robot(self.settings, name)
+        return self.robots[name]
+
+    def _judge_stamp(self, cloud: LoggedCloud, received_ns: int) -> None:
+        """Note what is wrong with a new cloud's stamp."""
+        if self.settings.rules == 1 or cloud.cloud.frame_id == self.settings.frame_id:
+            return
+        robot = self.robot(cloud.robot)
+        sensor = robot.sensors.setdefault(cloud.cloud.frame_id, SensorClock())
+        doubt = sensor.cloud(cloud.input, cloud.cloud.stamp_ns, received_ns, robot.clock)
+        if doubt is not None:
+            self.doubts[cloud.input] = doubt
+
+    def _end_clouds(self, name: str, number: int) -> None:
+        """The robot's clock went back at this input: of the clouds since, only those after their sensor's stamps fell
+        back are of the present clock."""
+        sensors = self.robots[name].sensors
+        for cloud in self.clouds.values():
+            if cloud.robot != name or cloud.input < number or cloud.cloud.frame_id not in sensors:
+                continue
+            if cloud.input >= sensors[cloud.cloud.frame_id].fell >= number:
+                self.doubts.pop(cloud.input, None)
+            else:
+                self.doubts[cloud.input] = Doubt(CloudReason.CLOCK_RESET)
+
+    def _count_integrated(self, cloud: LoggedCloud) -> None:
+        sensor = self.robots[cloud.robot].sensors.get(cloud.cloud.frame_id) if cloud.robot in self.robots else None
+        if sensor is not None:
+            sensor.count_integrated()
 
     def _named_poses(self, proposal: Proposal) -> list[Pose]:
         cloud = proposal.cloud
         try:
-            return self.buffer(cloud.robot).named(proposal.poses)
+            return self.robot(cloud.robot).buffer.named(proposal.poses)
         except KeyError as missing:
             raise RunError(
                 f"the event of input {cloud.input} names odometry and transform {missing}, which are not among the "
