@@ -20,10 +20,12 @@ from roughmap_schemas import (
     SensorTimeEvent,
     encode_event,
 )
+from roughmap_service.engine.figures import LostCloud
 from roughmap_service.engine.notices import Notices
 from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.admission import admit, refuse
 from roughmap_service.inputs.queue import InputMessage
+from roughmap_service.inputs.streams import Streams
 from roughmap_service.journal.items import Sync
 from roughmap_service.journal.recorder import Recorder
 from roughmap_service.journal.writer import LogWriter
@@ -47,6 +49,7 @@ class LiveRun:
         recorder: Recorder,
         counters: Counters,
         memory: MemoryLimit,
+        streams: Streams,
         publish_event: Callable[[bytes], None],
     ) -> None:
         self.run = run
@@ -55,9 +58,10 @@ class LiveRun:
         self._recorder = recorder
         self._counters = counters
         self._memory = memory
+        self._streams = streams
         self._publish_event = publish_event
         self._robots = set(run.robots)
-        self._notices = Notices(counters, self._robots)
+        self._notices = Notices(counters, streams, run.robots, self._robots)
         self._checkpoint_sequence = 0
 
     def accept(self, message: InputMessage, now: float) -> int | None:
@@ -91,7 +95,7 @@ class LiveRun:
 
     def refuse(self, message: InputMessage, fault: MessageFault) -> None:
         """Count a message that is not logged, and answer it if it was ingested."""
-        refuse(self._counters, message.robot, fault)
+        refuse(self._counters, self._streams, message.robot, message.kind, fault, message.payload)
         if message.reply is not None:
             message.reply.refuse(fault)
 
@@ -120,6 +124,10 @@ class LiveRun:
         rejected = {str(reason): n for reason, n in event.rejected.items()}
         came = None if arrival.resumed else arrival.at
         self._counters.cloud(str(event.outcome), event.accepted, rejected, came, seconds)
+        cloud, robot = proposal.cloud, self.run.robots.get(event.robot)
+        lost = LostCloud(cloud, event, robot, self.run.settings, self.run.map, now - arrival.at)
+        frame_id = cloud.cloud.frame_id
+        self._streams.cloud(event.robot, frame_id, str(event.outcome), event.accepted, rejected, lost.figures)
         self._publish_event(encode_event(event))
         return event
 

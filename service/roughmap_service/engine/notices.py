@@ -2,12 +2,16 @@
 
 import json
 import logging
+from collections.abc import Mapping
+from functools import partial
 
-from roughmap_schemas import PoseReason, SensorTimeEvent, Transform
+from roughmap_schemas import Odometry, PoseReason, SensorTimeEvent, Transform
+from roughmap_service.engine.figures import pose_figures
 from roughmap_service.host.counters import Counters
 from roughmap_service.host.log_lines import note
+from roughmap_service.inputs.streams import Streams
 from roughmap_service.run.decoding import Content
-from roughmap_service.run.robot import OdometryTaken
+from roughmap_service.run.robot import OdometryTaken, Robot
 from roughmap_service.run.run import NoTimes, Taken
 
 logger = logging.getLogger(__name__)
@@ -20,10 +24,15 @@ ORIGINS = {
 
 
 class Notices:
-    """Counts accepted and rejected poses, and logs what is unusual; ``robots`` are those that were heard before."""
+    """Counts accepted and rejected poses, and logs what is unusual.
 
-    def __init__(self, counters: Counters, robots: set[str]) -> None:
+    ``states`` are the run's robots; ``robots`` are those that were heard before.
+    """
+
+    def __init__(self, counters: Counters, streams: Streams, states: Mapping[str, Robot], robots: set[str]) -> None:
         self._counters = counters
+        self._states = states
+        self._streams = streams
         self._robots = robots
         self._unestimated: set[str] = set()
 
@@ -32,10 +41,12 @@ class Notices:
         if robot not in self._robots:
             self._robots.add(robot)
             note(logger, logging.INFO, "robot", f"robot {robot}: first message", robot=robot)
-        if taken.odometry is not None:
-            self._odometry(robot, taken.odometry)
+        if isinstance(content, Odometry) and taken.odometry is not None:
+            self._odometry(robot, content, taken.odometry)
         elif taken.rejected is not None:
             self._counters.pose(PoseReason.POSE_FRAME)
+        if isinstance(content, Transform):
+            self._streams.transform(robot)
         if taken.jumped and isinstance(content, Transform):
             self._counters.jump(robot)
             text = (
@@ -61,9 +72,11 @@ class Notices:
             )
             note(logger, logging.WARNING, "time_form", text, robot=found.robot, frame_id=found.frame_id)
 
-    def _odometry(self, robot: str, taken: OdometryTaken) -> None:
+    def _odometry(self, robot: str, odometry: Odometry, taken: OdometryTaken) -> None:
         for reason in taken.settled:
             self._counters.pose(reason)
+            figures = partial(pose_figures, reason, odometry, self._states[robot], taken.why)
+            self._streams.pose(robot, reason, figures)
         if taken.verdict.begins_anew:
             text = f"robot {robot}: its clock went back; its poses begin anew, and clouds from before are rejected"
             note(logger, logging.WARNING, "clock_reset", text, robot=robot)
