@@ -394,13 +394,14 @@ def test_before_times_were_read_so(dtype: str, numbers: list[int]) -> None:
 
 
 def test_times_that_ran_under_are_strays() -> None:
-    """Ouster's: a little before the stamp, written without a sign. Each fifth here, where a stride may find only those."""
+    """Ouster's: a little before the stamp, written without a sign. Each fifth, so that a stride may find only those."""
     under = np.arange(N) % 5 == 0
     values = np.where(under, 2**32 - 1 - np.arange(N), np.rint(AFTER * 1e9)).astype("<u4")
     raw = cloud(T0, values)
-    assert form_of([raw]) == (form := TimeForm("t", "ns", "start"))
+    form = TimeForm("t", "ns", "start")
+    assert form_of([raw]) == form
     got = timed(raw, form)
-    assert (got.stamp_ns, got.offsets_ns[under].tolist()) == (T0 + values[1], [-1] * under.sum())
+    assert (got.stamp_ns, got.offsets_ns[under].tolist()) == (T0 + int(values[1]), [-1] * under.sum())
     assert (got.stamp_ns + got.offsets_ns[~under]).tolist() == (T0 + values[~under].astype(int)).tolist()
     assert not misfit(raw, form)
 

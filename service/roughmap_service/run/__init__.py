@@ -5,7 +5,7 @@
     point_times.py  how the times of a sensor's points are read
     inbox.py        logged clouds that wait for their poses: which is decided next, and how
     poses.py        a robot's poses and transforms; pose_algebra.py turns them
-    placing.py      a cloud's points -> the map's frame and tiles
+    placing.py      a cloud's points -> the map's frame and tiles; returns.py: points that are none
     duplicates.py   messages that were logged before
     fold.py         a log's records -> a run, in a replay and after a restart
     settings.py     the configuration, unpacked; metadata.py: what a log file says of its run

@@ -35,11 +35,15 @@ class Settings:
     """The settings that poses, decisions and integration depend on.
 
     ``max_poses`` and ``max_transforms`` differ from the constants only in logs of versions that had settings for them.
+    ``rules`` are those of the log.
     """
 
-    def __init__(self, config: Config, *, max_poses: int = MAX_POSES, max_transforms: int = MAX_TRANSFORMS) -> None:
+    def __init__(
+        self, config: Config, *, max_poses: int = MAX_POSES, max_transforms: int = MAX_TRANSFORMS, rules: int = 2
+    ) -> None:
         inputs = config.input
         self.config = config
+        self.rules = rules
         self.max_poses = max_poses
         self.max_transforms = max_transforms
         self.frame_id = config.map.frame_id
