@@ -40,6 +40,9 @@ WHOLE: Final = 0.3
 FASTEST: Final = 2e7
 """More points a second than any scanner measures."""
 
+SURE_S: Final = 0.01
+"""From here on the next larger unit makes no sense, not even for a driver's mistake."""
+
 STEPS: Final = 20
 """Least number of different values that the type can hold between the first and the last."""
 
@@ -54,6 +57,9 @@ AGREED_S: Final = 0.001
 
 FIRING: Final = 512
 """More points than a scanner measures at the same moment."""
+
+LARGEST: Final = 1e20
+"""No time is larger, in any unit."""
 
 BEYOND_S: Final = BEYOND_NS / SECOND_NS
 
@@ -211,11 +217,15 @@ class _Column:
         return span >= SHORTEST_S and self.dtype.itemsize >= 4 and self.span >= STEPS * step and not shares
 
     def _may_be_in(self, unit: Unit, span: float) -> bool:
-        """Tell whether it is a whole sweep in this unit, rather than a few neighbouring points in a smaller one."""
-        if self.name == "t" and unit == {"<u4": "ns", "<f4": "s", "<f8": "s"}.get(self.dtype.str):
-            return True  # the contract's form
-        if self.period is not None and span >= WHOLE * self.period:
-            return True
+        """Tell whether it is a sweep in this unit, neither a few points in a smaller nor nonsense in a larger one."""
+        if self.name == "t" and unit == "ns" and self.dtype == np.uint32:
+            return True  # by the contract
+        if self.period is not None:
+            by_contract = self.name == "t" and unit == "s" and self.dtype.kind == "f"
+            if by_contract or span >= WHOLE * self.period:
+                return True
+        if span < SURE_S:
+            return False
         smaller = max((ns for ns in UNIT_NS.values() if ns < UNIT_NS[unit]), default=0)
         return self.number * SECOND_NS > FASTEST * self.span * smaller
 
@@ -227,7 +237,7 @@ def _range(values: npt.NDArray[Any]) -> tuple[float, float]:
     are the same, that one marks points without a return, and the others count.
     """
     taken = sample(values).astype(np.float64)
-    numbers = np.sort(taken[np.isfinite(taken)])
+    numbers = np.sort(taken[np.abs(taken) < LARGEST])  # false for NaN
     for _ in range(2):
         most = max(math.ceil(CORE * len(numbers)), 2)
         if len(numbers) < most:
