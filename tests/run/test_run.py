@@ -206,7 +206,7 @@ def test_checkpoint_and_reset() -> None:
     )
     assert s.follow(ResetEvent(epoch=0, sequence=0)) == ResetEvent(epoch=2, sequence=2)
     assert s.map.digest() == RoughMap().digest()
-    assert s.buffer("rover").poses, "what is known of the robots stays"
+    assert s.robot("rover").buffer.poses, "what is known of the robots stays"
     assert integrate(s, scan()).sequence == 3
     assert s.map.digest() == digest
 
@@ -214,8 +214,9 @@ def test_checkpoint_and_reset() -> None:
 def test_other_settings_hold_from_then_on() -> None:
     s = state()
     s.use(Settings(config(input={"pose_history": 0.05, "pose_sigma": [1, 1, 1, 1, 1, 1]})))
-    assert [(b.history_ns, b.jump_m, b.jump_rad) for b in s.poses.values()] == [(SECOND // 20, 3.0, 3.0)]
-    assert s.buffer("new").history_ns == SECOND // 20
+    for robot in (s.robots["rover"], s.robot("new")):
+        assert robot.buffer.history_ns == SECOND // 20
+        assert (robot.settings.jump_m, robot.settings.jump_rad) == (3.0, 3.0)
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,7 @@ class Feed:
             content = decode(kind, payload, self.run.settings)
         except MessageFault:
             return None
-        self.run.take("rover", content, Duplicates.identity("rover", kind, payload), Arrival(0.0))
+        self.run.take("rover", content, Duplicates.identity("rover", kind, payload), 0, Arrival(0.0))
         return content
 
     def decide(self, now: float = 0.0) -> list[IntegrationEvent]:
@@ -109,7 +109,7 @@ class Feed:
 @pytest.mark.parametrize("model", MODELS)
 def test_nothing_that_can_be_read_can_fail(model: str, patient: bool) -> None:
     """Patient: with limits so wide that clouds are placed along the wildest of ways."""
-    wide = {"max_speed": 1.7e308, "max_turn": 1.7e308, "max_pose_gap": 1.7e308, "pose_history": 1.7e308}
+    wide = {"max_speed": 1.7e308, "max_leap": 1.7e308, "max_pose_gap": 1.7e308, "pose_history": 1.7e308}
     values = config(map={"error_model": model}, input=wide if patient else {})
     outcomes: Counter[str] = Counter()
     for seed in range(150):
