@@ -104,7 +104,7 @@ class OdometryClock:
         if newest < 0:
             return Verdict.TAKE
         if stamp_ns == newest:
-            return Verdict.REPEAT
+            return Verdict.BACK if self.anew_from else Verdict.REPEAT
         next_ns = min(max_gap_ns, history_ns, 2 * max(self.gaps, default=history_ns))
         if newest < stamp_ns <= newest + next_ns:
             # A small step back is a row that went on from below; a wild stamp is not.
