@@ -18,18 +18,24 @@ Clock = Callable[[float], float]
 
 
 class Message(NamedTuple):
-    """A message: when it arrives, what it is, its stamp in s, and where the robot was when it was made."""
+    """A message: when it arrives, what it is, its stamp in s, where the robot was, whether it is wild."""
 
     arrival: float
     kind: Kind
     stamp: float
     place: float
     frame: str = ""
+    wild: bool = False
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A robot that moves along x at ``speed`` m/s for ``seconds``; rates in Hz, latencies in s."""
+    """A robot that walks along x at most at ``speed`` m/s for ``seconds``; rates in Hz, latencies in s.
+
+    ``clock`` is the one of all its stamps, ``scan_clock`` the scanner's if it has its own. Of the odometry, and of the
+    scans, a share ``wild`` has a stamp that is off by ``wild_by``. Odometry is late by up to ``jitter``, and a share
+    ``lost`` of all messages is lost.
+    """
 
     seconds: float = 12.0
     speed: float = 1.0
@@ -40,20 +46,34 @@ class Drive:
     clock: Clock = lambda t: t
     scan_clock: Clock | None = None
     jitter: float = 0.0
+    wild: float = 0.0
+    wild_by: float = 3600.0
+    wild_scans: float = 0.0
+    lost: float = 0.0
 
     def messages(self, seed: int = 0) -> list[Message]:
         """Return the messages in order of arrival."""
         random = np.random.default_rng(seed)
+        knots = np.arange(0.0, self.seconds + 2.0)
+        speeds = self.speed * random.uniform(-1.0, 1.0, len(knots))
+        if not seed:
+            speeds[:] = self.speed
+        places = np.concatenate([[0.0], np.cumsum(speeds)[:-1]])
         found = []
         for k in range(round(self.seconds * self.odometry_hz)):
             t = k / self.odometry_hz
             arrival = t + self.odometry_latency + random.uniform(0.0, self.jitter)
-            found.append(Message(arrival, Kind.ODOMETRY, self.clock(t), self.speed * t))
+            wild = random.random() < self.wild
+            stamp = self.clock(t) + (self.wild_by if wild else 0.0)
+            found.append(Message(arrival, Kind.ODOMETRY, stamp, float(np.interp(t, knots, places)), "", wild))
         for k in range(round(self.seconds * self.scan_hz)):
             t = k / self.scan_hz + 0.003
-            stamp = (self.scan_clock or self.clock)(t)
-            found.append(Message(t + self.scan_latency, Kind.POINTS, stamp, self.speed * t, "lidar"))
-        return sorted(found)
+            wild = random.random() < self.wild_scans
+            stamp = (self.scan_clock or self.clock)(t) + (self.wild_by if wild else 0.0)
+            found.append(
+                Message(t + self.scan_latency, Kind.POINTS, stamp, float(np.interp(t, knots, places)), "lidar", wild)
+            )
+        return sorted(one for one in found if random.random() >= self.lost)
 
 
 @dataclass
@@ -97,5 +117,6 @@ def play(messages: list[Message], directory: Path, settings: Config | None = Non
         line = [truth[odometry] for odometry, _ in event.poses]
         at = np.interp(cloud.stamp, [p.stamp for p in line], [p.place for p in line])
         assert all(a.stamp < b.stamp for a, b in pairwise(line))
-        errors.append(abs(float(at) - cloud.place))
+        if not cloud.wild:
+            errors.append(abs(float(at) - cloud.place))
     return Outcome([str(e.outcome) for e in decided], errors)

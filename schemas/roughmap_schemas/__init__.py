@@ -2,6 +2,7 @@
 
 keys.py, kinds.py, encodings.py                key expressions, kinds of messages, Zenoh encodings
 cloud.py, odometry.py, transform.py, grid.py   codecs of protobuf messages; wire.py, geometry.py: what they share
+point_times.py                                 the times of a cloud's points
 messages.py, events.py, run_metadata.py        messages in JSON, events, the metadata of a log file
 selectors.py, parameters.py, layers.py         queries: selectors, their parameters, the names of layers
 reasons.py, faults.py                          reasons and codes; errors
@@ -44,6 +45,7 @@ from roughmap_schemas.messages import (
     parse_model,
 )
 from roughmap_schemas.odometry import Odometry, decode_odometry, encode_odometry
+from roughmap_schemas.point_times import NO_TIMES, TimeField, TimeForm, contract_timed, timed
 from roughmap_schemas.reasons import INTEGRATED, CloudReason, PointReason, PoseReason, QueryCode, Reason, Refusal
 from roughmap_schemas.robot_sections import SensorConfig
 from roughmap_schemas.run_metadata import RunMetadata
@@ -56,6 +58,7 @@ __all__ = [
     "INTEGRATED",
     "LAYERS",
     "LIMIT_NAMES",
+    "NO_TIMES",
     "BadJson",
     "CellAnswer",
     "CellEntry",
@@ -93,12 +96,15 @@ __all__ = [
     "SensorTimeEvent",
     "TileInfo",
     "TileQuery",
+    "TimeField",
+    "TimeForm",
     "Transform",
     "UnknownEventKind",
     "UpdateRecord",
     "check_encoding",
     "config_from",
     "configuration_digest",
+    "contract_timed",
     "decode_cloud",
     "decode_event",
     "decode_grid",
@@ -113,4 +119,5 @@ __all__ = [
     "load_config",
     "model_bytes",
     "parse_model",
+    "timed",
 ]

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from roughmap_schemas.faults import bad_message, too_large
 from roughmap_schemas.geometry import (
-    SECOND_NS,
     Quaternion,
     Vector,
     move,
@@ -21,15 +20,28 @@ from roughmap_schemas.geometry import (
     write_stamp,
     write_vector,
 )
+from roughmap_schemas.point_times import TimeField
 from roughmap_schemas.wire import LENGTH, check_outline, check_size, parse
 
 WHAT: Final = "foxglove.PointCloud"
 DATA_FIELD: Final = PointCloud.DATA_FIELD_NUMBER
 UINT32, FLOAT32, FLOAT64 = PackedElementField.UINT32, PackedElementField.FLOAT32, PackedElementField.FLOAT64
 COORDINATES: Final[dict[int, np.dtype[Any]]] = {FLOAT32: np.dtype("<f4"), FLOAT64: np.dtype("<f8")}
-TIMES: Final[dict[int, np.dtype[Any]]] = {UINT32: np.dtype("<u4"), **COORDINATES}
-BAD_OFFSET: Final = -1
-"""Marks an invalid time of a point: negative, beyond 1 s, or NaN. The map rejects such points as `time`."""
+NUMBERS: Final[dict[int, np.dtype[Any]]] = {
+    PackedElementField.UINT8: np.dtype("u1"),
+    PackedElementField.INT8: np.dtype("i1"),
+    PackedElementField.UINT16: np.dtype("<u2"),
+    PackedElementField.INT16: np.dtype("<i2"),
+    UINT32: np.dtype("<u4"),
+    PackedElementField.INT32: np.dtype("<i4"),
+    **COORDINATES,
+}
+
+MAX_FIELDS: Final = 64
+"""Fields of a cloud that are kept beside x, y and z."""
+
+MAX_FIELD_NAME: Final = 64
+"""Characters of the name of a field that is kept."""
 
 OBJECT_BYTES: Final = 1024
 """Memory of a cloud without points."""
@@ -42,30 +54,46 @@ class Cloud:
     """A decoded cloud.
 
     ``points`` (N, 3) is float32 or float64, in metres in ``frame_id``. Usually it is a view of the payload, and then
-    read-only, strided and not aligned. ``offsets_ns`` (N,) int64 are the points' times after ``stamp_ns``, -1 where
-    invalid; None if the cloud has no times.
+    read-only, strided and not aligned. ``time_fields`` are the other fields, one of which may hold times. `timed` reads
+    it: ``offsets_ns`` (N,) int64 are the points' times after ``stamp_ns``, -1 where invalid, None if there are none.
     """
 
     frame_id: str
     stamp_ns: int
     points: NDArray[np.floating[Any]]
-    offsets_ns: NDArray[np.int64] | None
+    offsets_ns: NDArray[np.int64] | None = None
+    time_fields: tuple[TimeField, ...] = ()
+
+    def time_values(self, name: str) -> NDArray[Any] | None:
+        """Return the values (N,) of the field with that name; None if there is none."""
+        return next((field.values for field in self.time_fields if field.name == name), None)
 
     @property
     def held_bytes(self) -> int:
-        """Bytes of memory held: the payload if the points are a view of it, else the points; and the times."""
-        array = self.points
-        while isinstance(array.base, np.ndarray):
-            array = array.base
-        points = len(array.base) if isinstance(array.base, bytes) else array.nbytes
-        return OBJECT_BYTES + points + (0 if self.offsets_ns is None else self.offsets_ns.nbytes)
+        """Bytes of memory held: the payload if points or fields are views of it, points of their own, and the times."""
+        points = _owner(self.points)
+        held = OBJECT_BYTES + (0 if self.offsets_ns is None else self.offsets_ns.nbytes) + _size(points)
+        if self.time_fields and (fields := _owner(self.time_fields[0].values)) is not points:
+            held += _size(fields)
+        return held
+
+
+def _owner(array: NDArray[Any]) -> NDArray[Any] | bytes:
+    """Return the payload of which an array is a view, or the array that owns its memory."""
+    while isinstance(array.base, np.ndarray):
+        array = array.base
+    return array.base if isinstance(array.base, bytes) else array
+
+
+def _size(owner: NDArray[Any] | bytes) -> int:
+    return len(owner) if isinstance(owner, bytes) else owner.nbytes
 
 
 def decode_cloud(payload: bytes, *, max_message: int, max_points: int, map_frame: str | None = None) -> Cloud:
     """Read a cloud; raises ``MessageFault`` (``too_large``, ``bad_message``).
 
     Size and layout are checked before any array is made. The message's pose is applied here, in float64. It does not
-    move rows of (0, 0, 0), which mean that nothing came back, except in ``map_frame``.
+    move rows of (0, 0, 0), which mean that nothing came back, except in ``map_frame``. Times are not read: see `timed`.
     """
     check_size(payload, WHAT, max_message)
     # The points stay in the payload; only the other fields are parsed. As in protobuf, the last `data` counts.
@@ -93,17 +121,16 @@ def decode_cloud(payload: bytes, *, max_message: int, max_points: int, map_frame
         rotation = read_rotation(message.pose.orientation, f"{WHAT}.pose.orientation")
         if (translation, rotation) != IDENTITY:
             points = move(points, translation, rotation, keep_zero_rows=message.frame_id != map_frame)
-    return Cloud(message.frame_id, stamp_ns, points, layout.offsets_ns(payload, start, count, stride))
+    return Cloud(message.frame_id, stamp_ns, points, time_fields=layout.fields(payload, start, count, stride))
 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Where x, y, z and the optional t lie within a point."""
+    """Where x, y, z and the other scalar fields lie within a point: a type and an offset each."""
 
     kind: int
     offsets: tuple[int, int, int]
-    time: tuple[int, int] | None
-    """The type and offset of t."""
+    others: tuple[tuple[str, int, int], ...]
 
     def points(self, payload: bytes, start: int, count: int, stride: int) -> NDArray[np.floating[Any]]:
         """Return the coordinates (N, 3): a view if x, y, z are evenly spaced, else a copy."""
@@ -116,33 +143,33 @@ class _Layout:
         columns = [np.ndarray((count,), dtype, payload, start + offset, (stride,)) for offset in self.offsets]
         return np.stack(columns, axis=1)
 
-    def offsets_ns(self, payload: bytes, start: int, count: int, stride: int) -> NDArray[np.int64] | None:
-        if self.time is None:
-            return None
-        kind, offset = self.time
+    def fields(self, payload: bytes, start: int, count: int, stride: int) -> tuple[TimeField, ...]:
+        """Return the other fields, as views."""
         if count == 0:
-            return np.empty(0, np.int64)
-        given = np.ndarray((count,), TIMES[kind], payload, start + offset, (stride,))
-        if kind == UINT32:
-            whole = given.astype(np.int64)
-            whole[whole > SECOND_NS] = BAD_OFFSET
-            return whole
-        seconds = given.astype(np.float64)
-        with np.errstate(invalid="ignore"):
-            good = (seconds >= 0.0) & (seconds <= 1.0)  # false for NaN
-        return np.where(good, np.rint(np.where(good, seconds, 0.0) * 1e9), BAD_OFFSET).astype(np.int64)
+            return tuple(TimeField(name, np.empty(0, NUMBERS[kind])) for name, kind, _ in self.others)
+        return tuple(
+            TimeField(name, np.ndarray((count,), NUMBERS[kind], payload, start + offset, (stride,)))
+            for name, kind, offset in self.others
+        )
 
 
 def _layout(message: Any) -> _Layout:
-    """Check the fields x, y, z and t, and return their layout; other fields are ignored."""
+    """Check the fields x, y, z and t, and return the layout; other fields that can't be read are left out."""
     stride = message.point_stride
     found: dict[str, tuple[int, int]] = {}
+    others: dict[str, tuple[int, int]] = {}
     for field in message.fields:
-        if field.name not in ("x", "y", "z", "t"):
-            continue
-        if field.name in found:
-            raise bad_message(f"{WHAT}.fields: expected {field.name} once; found it twice")
-        found[field.name] = (field.type, field.offset)
+        if field.name in ("x", "y", "z", "t"):
+            if field.name in found:
+                raise bad_message(f"{WHAT}.fields: expected {field.name} once; found it twice")
+            found[field.name] = (field.type, field.offset)
+        elif (
+            field.type in NUMBERS
+            and field.offset + NUMBERS[field.type].itemsize <= stride
+            and len(field.name) <= MAX_FIELD_NAME
+            and len(others) < MAX_FIELDS
+        ):
+            others.setdefault(field.name, (field.type, field.offset))
     missing = [name for name in "xyz" if name not in found]
     if missing:
         names = [field.name[:20] for field in message.fields[:20]]
@@ -153,12 +180,12 @@ def _layout(message: Any) -> _Layout:
             f"{WHAT}.fields: expected x, y, z all FLOAT32 (7) or all FLOAT64 (8); "
             f"found {', '.join(str(found[name][0]) for name in 'xyz')}"
         )
-    if "t" in found and found["t"][0] not in TIMES:
-        raise bad_message(f"{WHAT}.fields: expected t as UINT32 (5), FLOAT32 (7) or FLOAT64 (8); found {found['t'][0]}")
+    if "t" in found and found["t"][0] not in NUMBERS:
+        raise bad_message(f"{WHAT}.fields: expected t of a numeric type (1 to 8); found {found['t'][0]}")
     if stride == 0:
         raise bad_message(f"{WHAT}.point_stride: expected at least 1; found 0")
     reached = 0
-    for offset, size, name in sorted((offset, TIMES[kind].itemsize, name) for name, (kind, offset) in found.items()):
+    for offset, size, name in sorted((offset, NUMBERS[kind].itemsize, name) for name, (kind, offset) in found.items()):
         if offset < reached:
             raise bad_message(
                 f"{WHAT}.fields: expected fields that do not overlap; found {name} at {offset} over another one"
@@ -167,7 +194,8 @@ def _layout(message: Any) -> _Layout:
         if reached > stride:
             raise bad_message(f"{WHAT}.fields: expected {name} within point_stride {stride}; found bytes to {reached}")
     kind = types.pop()
-    return _Layout(kind, (found["x"][1], found["y"][1], found["z"][1]), found.get("t"))
+    x, y, z = (found.pop(name)[1] for name in "xyz")
+    return _Layout(kind, (x, y, z), tuple((name, *where) for name, where in (found | others).items()))
 
 
 def encode_cloud(

@@ -11,7 +11,7 @@ from numba.core.dispatcher import Dispatcher
 from roughmap.integration import blocks, phases, tile_update
 from roughmap.points import place
 from roughmap.tiles import changes, index, slots
-from roughmap_schemas import Config, decode_cloud, encode_cloud
+from roughmap_schemas import Config, contract_timed, decode_cloud, encode_cloud
 from roughmap_service.engine import warmup
 from roughmap_service.engine.warmup import UNTURNED, warm_up
 from roughmap_service.run.placing import place_cloud
@@ -49,7 +49,7 @@ def test_no_cloud_finds_a_kernel_uncompiled(model: str) -> None:
             (np.float32, np.float64), ("map", "lidar"), (None, offsets), (0, 1, 1 << 7, 1 << 14)
         ):
             payload = encode_cloud(points.astype(dtype), stamp, frame, offsets_ns=times)
-            cloud = decode_cloud(payload, max_message=1 << 20, max_points=1 << 20)
+            cloud = contract_timed(decode_cloud(payload, max_message=1 << 20, max_points=1 << 20))
             layouts.add((dtype, cloud.points.flags.aligned, cloud.points.flags.c_contiguous))
             with rough_map.freeze():
                 rough_map.integrate(place_cloud(rough_map, "", cloud, line, settings))

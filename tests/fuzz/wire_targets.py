@@ -14,6 +14,7 @@ from roughmap_schemas import (
     BadJson,
     CellAnswer,
     CellsQuery,
+    Cloud,
     ContractError,
     Keys,
     MapStatus,
@@ -23,7 +24,9 @@ from roughmap_schemas import (
     RegionQuery,
     RunMetadata,
     TileQuery,
+    TimeForm,
     UnknownEventKind,
+    contract_timed,
     decode_cloud,
     decode_event,
     decode_grid,
@@ -34,7 +37,9 @@ from roughmap_schemas import (
     encode_odometry,
     encode_transform,
     parse_model,
+    timed,
 )
+from roughmap_service.run.point_times import find_form, misfit
 
 MAX_MESSAGE = 1 << 20
 MAX_POINTS = 10_000
@@ -42,9 +47,26 @@ KEYS = Keys("site")
 LEVELS = 8
 
 
+def decoded(payload: bytes) -> Cloud:
+    return decode_cloud(payload, max_message=MAX_MESSAGE, max_points=MAX_POINTS, map_frame="map")
+
+
+def check_forms(raw: Cloud) -> None:
+    """Whatever its fields hold, a cloud's times come out within their limits in every form."""
+    form = find_form([(raw.stamp_ns, raw.time_fields)], last=True)
+    forms = [TimeForm("t", unit, origin) for unit in ("s", "ns") for origin in ("start", "end", "absolute")]
+    for tried in [form, *forms] if isinstance(form, TimeForm) else forms:
+        misfit(raw, tried)
+        got = timed(raw, tried)
+        assert 0 <= got.stamp_ns < 2**32 * 10**9
+        assert got.offsets_ns is None or np.all((got.offsets_ns >= -1) & (got.offsets_ns <= 10**9))
+
+
 def cloud(payload: bytes) -> None:
     with contextlib.suppress(MessageFault):
-        got = decode_cloud(payload, max_message=MAX_MESSAGE, max_points=MAX_POINTS, map_frame="map")
+        raw = decoded(payload)
+        check_forms(raw)
+        got = contract_timed(raw)
         assert got.points.shape == (len(got.points), 3)
         assert len(got.points) <= min(MAX_POINTS, len(payload))
         assert 0 <= got.stamp_ns < 2**32 * 10**9
@@ -54,7 +76,7 @@ def cloud(payload: bytes) -> None:
             assert np.all((offsets >= -1) & (offsets <= 10**9))
             offsets = np.where(offsets < 0, 2 * 10**9, offsets)  # a time that is off is written as one that is off
         written = encode_cloud(got.points, got.stamp_ns, got.frame_id, offsets)
-        again = decode_cloud(written, max_message=MAX_MESSAGE, max_points=MAX_POINTS, map_frame="map")
+        again = contract_timed(decoded(written))
         assert (again.frame_id, again.stamp_ns) == (got.frame_id, got.stamp_ns)
         assert again.points.tobytes() == got.points.tobytes()
         if got.offsets_ns is not None:

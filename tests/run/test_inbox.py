@@ -46,7 +46,9 @@ class Desk:
         first = T0 + round(t * SECOND)
         last = first if until is None else T0 + round(until * SECOND)
         held = Cloud(frame, first, np.zeros((1, 3)), None)
-        self.inbox.feed(LoggedCloud(self.inputs, robot, held, first, last, size, Arrival(now, promised=ingested)))
+        self.inbox.feed(
+            LoggedCloud(self.inputs, robot, held, first, last, size, Arrival(now, promised=ingested), timed=True)
+        )
         return self.inputs
 
     def tick(self, now: float = 0.0) -> tuple[int, str] | None:
@@ -360,7 +362,7 @@ def test_what_a_message_costs_does_not_grow_with_what_waits(promised: int) -> No
             Looked.looks = 0
             held = Cloud("lidar", T0 + number, np.zeros((1, 3)), None)
             arrival = Arrival(0.0, promised=number < promised)
-            inbox.feed(Looked(number, "a", held, T0 + number, T0 + number, 1, arrival))
+            inbox.feed(Looked(number, "a", held, T0 + number, T0 + number, 1, arrival, timed=True))
             assert not inbox.holds_before("a", T0)
         assert [decision.cloud.input for decision in inbox.ended] == [promised], "the last one had no room"
         return Looked.looks

@@ -64,7 +64,7 @@ def test_one_decision_a_cloud_in_order(row: list[tuple]) -> None:
             first = T0 + t * TENTH + 1
             held = Cloud(frame, first, np.zeros((1, 3)), None)
             clouds[number] = LoggedCloud(
-                number, robot, held, first, first + long * TENTH, size, Arrival(now, promised=ingested)
+                number, robot, held, first, first + long * TENTH, size, Arrival(now, promised=ingested), timed=True
             )
             if doubt is not None:
                 in_doubt[number] = doubt

@@ -12,7 +12,7 @@ from service_tools import LEVEL, PRECISE, config
 from roughmap_schemas import Odometry, PoseReason
 from roughmap_service.run.odometry_clock import (
     BACK_FENCE_NS,
-    BELIEVED_OF_TWO,
+    BELIEVED_LATER,
     BREAK_FENCE_NS,
     FROZEN,
     MAX_HELD,
@@ -261,8 +261,8 @@ class TestTwoSources:
         for t in self.mixed(30):
             heard.add(t)
         verdicts = [heard.add(t - 30).verdict for t in self.mixed(12)]
-        assert verdicts[: BELIEVED_OF_TWO - 1] == [HOLD] * (BELIEVED_OF_TWO - 1)
-        assert verdicts[BELIEVED_OF_TWO - 1] is BACK
+        assert verdicts[: BELIEVED_LATER - 1] == [HOLD] * (BELIEVED_LATER - 1)
+        assert verdicts[BELIEVED_LATER - 1] is BACK
         assert heard.poses == sorted(heard.poses)
 
 

@@ -15,7 +15,7 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from hypothesis import strategies as st
 from properties import examples
 
-from roughmap_schemas import MessageFault, decode_cloud, decode_grid, decode_odometry, decode_transform
+from roughmap_schemas import MessageFault, contract_timed, decode_cloud, decode_grid, decode_odometry, decode_transform
 
 MIB = 1 << 20
 STAMP = 1_600_000_000_123_456_789
@@ -93,7 +93,8 @@ def grid_message(rows: int = 2, columns: int = 3) -> Grid:
 
 
 def read_cloud(payload: bytes, *, max_message: int = MIB, max_points: int = 10_000, map_frame: str = "map") -> Any:
-    return decode_cloud(payload, max_message=max_message, max_points=max_points, map_frame=map_frame)
+    """Decode a cloud, its times in the contract's form."""
+    return contract_timed(decode_cloud(payload, max_message=max_message, max_points=max_points, map_frame=map_frame))
 
 
 DECODERS: dict[str, Callable[[bytes], Any]] = {

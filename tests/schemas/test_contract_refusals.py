@@ -43,7 +43,7 @@ MIXED = [field("x", 0, 7), field("y", 4, 7), field("z", 8, 8)]
         (12, [field("x", 0, 7), field("y", 3, 7), field("z", 8, 7)], 24, ["overlap", "y at 3"]),
         (12, [field("x", 0, 7), field("y", 0, 7), field("z", 0, 7)], 24, ["overlap"]),
         (12, [field("x", 0, 7), field("y", 4, 7), field("z", 2**32 - 1, 7)], 24, ["z within point_stride"]),
-        (16, [*XYZ, field("t", 12, 6)], 32, ["t as UINT32", "found 6"]),
+        (16, [*XYZ, field("t", 12, 9)], 32, ["t of a numeric type", "found 9"]),
         (16, [*XYZ, field("t", 10, 5)], 32, ["overlap"]),
         (16, [*XYZ, field("t", 12, 8)], 32, ["t within"]),
         (16, [*XYZ, field("t", 12, 5), field("t", 12, 5)], 32, ["t once"]),

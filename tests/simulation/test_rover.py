@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from roughmap_schemas.cloud import decode_cloud
 from roughmap_schemas.odometry import decode_odometry
+from roughmap_schemas.point_times import contract_timed
 from roughmap_service.simulation.ground import PERIOD, SPACING, Ground
 from roughmap_service.simulation.publishing import merged
 from roughmap_service.simulation.rover import MOUNT, POSE_SIGMA, Message, Rover, rovers
@@ -28,7 +29,7 @@ def rover(ground: Ground, **settings: object) -> Rover:
 
 def cloud(message: Message) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points, stamps and which came back."""
-    decoded = decode_cloud(message.payload, max_message=1 << 24, max_points=1 << 20)
+    decoded = contract_timed(decode_cloud(message.payload, max_message=1 << 24, max_points=1 << 20))
     assert decoded.offsets_ns is not None
     points = np.asarray(decoded.points, dtype=np.float64)
     return points, decoded.stamp_ns + decoded.offsets_ns, (points != 0).any(axis=1)

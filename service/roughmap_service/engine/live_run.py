@@ -17,6 +17,7 @@ from roughmap_schemas import (
     Receipt,
     Refusal,
     ResetEvent,
+    SensorTimeEvent,
     encode_event,
 )
 from roughmap_service.engine.notices import Notices
@@ -108,6 +109,7 @@ class LiveRun:
         """
         if not self._writer.wait_room(0.0):
             return None
+        self._find_times(now)
         proposal = self.run.decide(now)
         if proposal is None:
             return None
@@ -162,6 +164,15 @@ class LiveRun:
         while self.run.inbox.holds_before(robot, horizon):
             if self.decide(now) is None:
                 return
+
+    def _find_times(self, now: float) -> None:
+        """Log how the times of waiting clouds are read, once it is known."""
+        for found in self.run.find_times(now):
+            if isinstance(found, SensorTimeEvent):
+                self._log(found)
+                self.run.read_times(found)
+                self._publish_event(encode_event(found))
+            self._notices.times(found)
 
     def _integrate(self, proposal: Proposal) -> IntegrationEvent:
         """Apply a proposal and log the event.

@@ -1,15 +1,22 @@
 """What an operator should see of the messages that came in: counters and log lines."""
 
+import json
 import logging
 
-from roughmap_schemas import PoseReason, Transform
+from roughmap_schemas import PoseReason, SensorTimeEvent, Transform
 from roughmap_service.host.counters import Counters
 from roughmap_service.host.log_lines import note
 from roughmap_service.run.decoding import Content
 from roughmap_service.run.robot import OdometryTaken
-from roughmap_service.run.run import Taken
+from roughmap_service.run.run import NoTimes, Taken
 
 logger = logging.getLogger(__name__)
+
+ORIGINS = {
+    "start": "counted from the cloud's stamp",
+    "end": "counted back from the cloud's stamp",
+    "absolute": "as times since 1970",
+}
 
 
 class Notices:
@@ -36,6 +43,23 @@ class Notices:
                 "ground that is already mapped does not move"
             )
             note(logger, logging.WARNING, "jump", text, robot=robot, child_frame_id=content.child_frame_id)
+
+    def times(self, found: SensorTimeEvent | NoTimes) -> None:
+        """Notice how a sensor's times are read, or that it is unclear."""
+        sensor = f"robot {found.robot} sensor {found.frame_id}"
+        if isinstance(found, SensorTimeEvent):
+            text = (
+                f"{sensor}: points' times are read from field {found.field!r} in {found.unit}, {ORIGINS[found.origin]}"
+                if found.field
+                else f"{sensor}: points have no times of their own; all lie at the cloud's stamp"
+            )
+            note(logger, logging.INFO, "sensor_time", text, robot=found.robot, frame_id=found.frame_id)
+        else:
+            text = (
+                f"{sensor}: clouds rejected, since the meaning of their points' times is unclear: {found.seen}. Set "
+                f"time_field, time_unit and time_origin in [sensors.{json.dumps(found.frame_id)}]"
+            )
+            note(logger, logging.WARNING, "time_form", text, robot=found.robot, frame_id=found.frame_id)
 
     def _odometry(self, robot: str, taken: OdometryTaken) -> None:
         for reason in taken.settled:

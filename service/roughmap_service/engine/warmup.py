@@ -7,7 +7,7 @@ import numpy as np
 
 from roughmap.tiles.index import rehash
 from roughmap.tiles.slots import SlotPool
-from roughmap_schemas import Config, decode_cloud, encode_cloud
+from roughmap_schemas import Config, contract_timed, decode_cloud, encode_cloud
 from roughmap_service.host.log_lines import note
 from roughmap_service.run.placing import place_cloud
 from roughmap_service.run.poses import Pose
@@ -52,7 +52,7 @@ def _run(config: Config, stop: threading.Event) -> None:
             if stop.is_set():
                 return
             payload = encode_cloud(points, 0, frame, offsets_ns=np.arange(len(points)) * 1000)
-            cloud = decode_cloud(payload, max_message=LIMIT, max_points=LIMIT)
+            cloud = contract_timed(decode_cloud(payload, max_message=LIMIT, max_points=LIMIT))
             # While a reader holds a frozen map, tiles are copied before they change; that has a kernel too.
             with rough_map.freeze():
                 rough_map.integrate(place_cloud(rough_map, robot, cloud, line, settings))

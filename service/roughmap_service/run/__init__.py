@@ -2,6 +2,7 @@
 
     run.py          `Run`: take a message, decide, place, follow an event; the way of a cloud in one screen
     decoding.py     a message's bytes -> cloud, odometry or transform
+    point_times.py  how the times of a sensor's points are read
     inbox.py        logged clouds that wait for their poses: which is decided next, and how
     poses.py        a robot's poses and transforms; pose_algebra.py turns them
     placing.py      a cloud's points -> the map's frame and tiles

@@ -1,6 +1,13 @@
 """From the bytes of a message to its content."""
 
-from roughmap_schemas import Cloud, Odometry, Transform, decode_cloud, decode_odometry, decode_transform
+from roughmap_schemas import (
+    Cloud,
+    Odometry,
+    Transform,
+    decode_cloud,
+    decode_odometry,
+    decode_transform,
+)
 from roughmap_schemas.kinds import Kind
 from roughmap_service.run.settings import Settings
 

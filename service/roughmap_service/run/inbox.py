@@ -1,8 +1,8 @@
 """Which cloud is decided next, and how: a state machine over clouds, robots and the times given to it."""
 
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 from roughmap_schemas import Cloud, CloudReason
@@ -13,6 +13,9 @@ from roughmap_service.run.sensor_clock import Doubt
 from roughmap_service.run.settings import Settings
 
 INTEGRATED = "integrated"
+
+TIME_BYTES = 8
+"""Of a point's own time, once it is read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +33,10 @@ class Arrival:
 
 @dataclass(frozen=True, slots=True)
 class LoggedCloud:
-    """A logged cloud without a decision: its input number, the time span of its points in ns, its size in bytes."""
+    """A logged cloud without a decision: its input number, the time span of its points in ns, its size in bytes.
+
+    Until it is ``timed``, the form of its points' times is not known, and its span is its stamp.
+    """
 
     input: int
     robot: str
@@ -39,6 +45,7 @@ class LoggedCloud:
     last_ns: int
     size: int
     arrival: Arrival
+    timed: bool
 
     @property
     def sensor(self) -> tuple[str, str]:
@@ -46,9 +53,17 @@ class LoggedCloud:
         return self.robot, self.cloud.frame_id
 
     @classmethod
-    def of(cls, number: int, robot: str, cloud: Cloud, arrival: Arrival) -> Self:
-        """Return the cloud of a message."""
-        return cls(number, robot, cloud, *span(cloud), cloud.held_bytes, arrival)
+    def of(cls, number: int, robot: str, cloud: Cloud, timed: Cloud | None, arrival: Arrival) -> Self:
+        """Return the cloud of a message; ``timed``: the same with its points' times, if their form is known."""
+        size = cloud.held_bytes + (TIME_BYTES * len(cloud.points) if cloud.time_fields else 0)
+        if timed is None:
+            return cls(number, robot, cloud, cloud.stamp_ns, cloud.stamp_ns, size, arrival, timed=False)
+        return cls(number, robot, timed, *span(timed), size, arrival, timed=True)
+
+    def with_times(self, timed: Cloud) -> Self:
+        """Return the cloud with its points' times."""
+        first_ns, last_ns = span(timed)
+        return replace(self, cloud=timed, first_ns=first_ns, last_ns=last_ns, timed=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +120,20 @@ class SensorQueue:
         """Remove a cloud, the first of its row."""
         (self.promised if cloud.arrival.promised else self.published).popleft()
         self.size -= cloud.size
+
+    def replace(self, change: Callable[[LoggedCloud], LoggedCloud]) -> None:
+        """Put other clouds in the place of these, of the same sizes."""
+        for row in self._rows():
+            clouds = [change(cloud) for cloud in row.clouds]
+            row.clouds.clear()
+            row.rising.clear()
+            for cloud in clouds:
+                row.append(cloud)
+
+    def untimed(self) -> list[LoggedCloud]:
+        """The clouds whose times can't be read yet, in order of arrival."""
+        clouds = [cloud for row in self._rows() for cloud in row.clouds if not cloud.timed]
+        return sorted(clouds, key=lambda cloud: cloud.input)
 
     def __len__(self) -> int:
         return len(self.published.clouds) + len(self.promised.clouds)
@@ -182,6 +211,11 @@ class Inbox:
             return None
         return min(queue.first.arrival.at for queue in self.queues.values()) + self.settings.max_wait
 
+    def untimed(self, now: float) -> list[tuple[list[LoggedCloud], bool]]:
+        """Return the clouds of each sensor whose first one has times that can't be read yet, and whether it is due."""
+        waiting = [queue for queue in self.queues.values() if not queue.first.timed]
+        return [(queue.untimed(), now >= queue.first.arrival.at + self.settings.max_wait) for queue in waiting]
+
     def _judge(self, cloud: LoggedCloud, now: float) -> Proposal | None:
         if cloud.cloud.frame_id == self.settings.frame_id:
             return Proposal(cloud, INTEGRATED)
@@ -191,6 +225,8 @@ class Inbox:
             return Proposal(cloud, doubt.reason)
         if robot is None:
             return Proposal(cloud, CloudReason.NO_POSE) if due else None
+        if not cloud.timed:
+            return Proposal(cloud, CloudReason.TIME_FORM) if due else None
         clock, buffer = robot.clock, robot.buffer
         if cloud.input < clock.begun:
             return Proposal(cloud, CloudReason.CLOCK_RESET)

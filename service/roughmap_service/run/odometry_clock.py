@@ -16,8 +16,9 @@ from roughmap_service.run.poses import Pose
 BELIEVED = 3
 """Messages in a row with rising stamps after which a leap of the stamps is a leap of the clock."""
 
-BELIEVED_OF_TWO = 10
-"""The same for a clock that goes back, where two sources' stamps are mixed."""
+BELIEVED_LATER = 10
+"""The same where the steps between them are longer than `input.max_pose_gap`, and for a clock that goes back where two
+sources' stamps are mixed."""
 
 MAX_HELD = 10
 """Messages that are held; as many as any rule looks at."""
@@ -29,8 +30,9 @@ BREAKS = 3
 """Breaks within the pose history after which the robot has two sources."""
 
 GAPS = 8
-"""Steps between stamps that tell how far apart a robot's poses are. A stamp that is ahead by more than twice the
-longest of them is held first."""
+NEXT = 3
+"""Last steps between stamps, and how many times the longest but one of them the next may be; a stamp further ahead is
+held. The longest may be one that was lost."""
 
 BACK_FENCE_NS = 1_000_000_000
 BREAK_FENCE_NS = 500_000_000
@@ -105,7 +107,8 @@ class OdometryClock:
             return Verdict.TAKE
         if stamp_ns == newest:
             return Verdict.BACK if self.anew_from else Verdict.REPEAT
-        next_ns = min(max_gap_ns, history_ns, 2 * max(self.gaps, default=history_ns))
+        usual_ns = sorted(self.gaps)[-2] if len(self.gaps) > 1 else history_ns
+        next_ns = min(max_gap_ns, history_ns, NEXT * usual_ns)
         if newest < stamp_ns <= newest + next_ns:
             # A small step back is a row that went on from below; a wild stamp is not.
             low = [one.stamp_ns for one in held if one.stamp_ns <= newest]
@@ -114,16 +117,35 @@ class OdometryClock:
         if self.anew_from:
             return Verdict.FORWARD if stamp_ns > newest else Verdict.BACK
         row = [one.stamp_ns for one in held] + [stamp_ns]
-        three = row[-BELIEVED:]
-        if len(three) == BELIEVED and _rises(three, history_ns):
-            if three[0] > newest:
-                return Verdict.FORWARD
-            if three[-1] <= newest and not self.two_sources:
-                return Verdict.BACK
-        ten = row[-BELIEVED_OF_TWO:]
-        if self.two_sources and len(ten) == BELIEVED_OF_TWO and max(ten) <= newest and max(ten) > ten[0]:
+        three, ten = row[-BELIEVED:], row[-BELIEVED_LATER:]
+        for some, enough, step_ns in (
+            (three, BELIEVED, min(max_gap_ns, history_ns)),
+            (ten, BELIEVED_LATER, history_ns),
+        ):
+            if len(some) == enough and _rises(some, step_ns):
+                if some[0] > newest:
+                    return Verdict.FORWARD
+                if some[-1] <= newest and not self.two_sources:
+                    return Verdict.BACK
+        if self.two_sources and len(ten) == BELIEVED_LATER and max(ten) <= newest and max(ten) > ten[0]:
             return Verdict.BACK
         return Verdict.HOLD
+
+    def row_of(self, stamp_ns: int, held: list[Held], max_gap_ns: float, history_ns: int) -> list[Held]:
+        """Return the last of those held that a believed message of this stamp belongs to."""
+        if self.two_sources and stamp_ns <= self.newest_ns:
+            return held[1 - BELIEVED_LATER :]
+        row: list[Held] = []
+        for step_ns in (min(max_gap_ns, history_ns), history_ns):
+            after, row = stamp_ns, []
+            for one in reversed(held):
+                if not after - step_ns <= one.stamp_ns < after:
+                    break
+                row.insert(0, one)
+                after = one.stamp_ns
+            if len(row) >= BELIEVED - 1:
+                break
+        return row
 
     def doubts(self, number: int, last_ns: int) -> bool:
         """Return whether a cloud with this input number, whose last point is of this time, must not be placed yet.
@@ -206,5 +228,5 @@ class OdometryClock:
         self.held, self.gaps, self.breaks = held, deque(state["gaps"], GAPS), deque(state["breaks"], BREAKS)
 
 
-def _rises(stamps: Sequence[int], history_ns: int) -> bool:
-    return all(a < b <= a + history_ns for a, b in pairwise(stamps))
+def _rises(stamps: Sequence[int], step_ns: float) -> bool:
+    return all(a < b <= a + step_ns for a, b in pairwise(stamps))

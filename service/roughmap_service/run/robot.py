@@ -11,7 +11,7 @@ from roughmap_schemas import Odometry, PoseReason, Transform
 from roughmap_schemas.geometry import rotation_matrix
 from roughmap_service.run.covariances import BadCovariance, settle
 from roughmap_service.run.leaps import Leap, find_leap
-from roughmap_service.run.odometry_clock import BACK_FENCE_NS, BREAK_FENCE_NS, Held, OdometryClock, Verdict
+from roughmap_service.run.odometry_clock import BACK_FENCE_NS, BELIEVED, BREAK_FENCE_NS, Held, OdometryClock, Verdict
 from roughmap_service.run.pose_algebra import Floats, multiply, quaternion, rotate, triple, turn_covariance
 from roughmap_service.run.poses import Pose, PoseBuffer
 from roughmap_service.run.rules_1 import StampOrder
@@ -101,8 +101,7 @@ class Robot:
         settled: list[PoseReason | None] = []
         ended_from, two_sources = 0, False
         if verdict in (Verdict.FORWARD, Verdict.BACK):
-            together = [h for h in held if h.stamp_ns > newest] if verdict is Verdict.FORWARD else held
-            together = together[-9:] if clock.two_sources and verdict is Verdict.BACK else together[-2:]
+            together = clock.row_of(one.stamp_ns, held, self.settings.max_pose_gap_ns, self.settings.history_ns)
         elif clock.two_sources:
             together = [h for h in held if h.stamp_ns <= newest]
         settled += [self._given_up(h) for h in held if h not in together]
@@ -110,6 +109,9 @@ class Robot:
             self.buffer.clear()
             clock.begin(clock.anew_from, 0)
             self.transforms.keep_last()
+        elif verdict is Verdict.BACK and clock.taken < BELIEVED:  # what came first was wild
+            self.buffer.clear()
+            clock.begin(clock.begun, 0)
         elif verdict is Verdict.BACK:
             ended_from = together[0].input
             self._begin_anew(ended_from, together[0].stamp_ns + BACK_FENCE_NS)

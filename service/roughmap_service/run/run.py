@@ -11,9 +11,9 @@ A replay takes the same messages, and `follow` does what the logged events say. 
 clock in here, so nothing but the order of the calls decides what comes out.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from roughmap import Prepared, RoughMap, TooManyTiles
 from roughmap.tiles.table import ReaderLock
@@ -27,16 +27,20 @@ from roughmap_schemas import (
     PointReason,
     PoseReason,
     ResetEvent,
+    SensorTimeEvent,
+    TimeForm,
 )
 from roughmap_schemas.faults import ReportedError
 from roughmap_service.run.decoding import Content
 from roughmap_service.run.duplicates import Duplicates, Identity
 from roughmap_service.run.inbox import INTEGRATED, Arrival, Inbox, LoggedCloud, Proposal
 from roughmap_service.run.placing import place_cloud
+from roughmap_service.run.point_times import Ambiguous
 from roughmap_service.run.poses import NoTrajectory, Pose
 from roughmap_service.run.robot import OdometryTaken, Robot
 from roughmap_service.run.sensor_clock import Doubt, SensorClock
-from roughmap_service.run.settings import Settings
+from roughmap_service.run.sensor_times import SensorTimes
+from roughmap_service.run.settings import NS, Settings
 
 KNOWN_WHEN_PLACED = (INTEGRATED, CloudReason.EMPTY, CloudReason.TOO_MANY_TILES)
 """Outcomes that follow from placing the cloud. All others are known before."""
@@ -64,6 +68,15 @@ class Taken:
     jumped: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class NoTimes:
+    """Clouds of a sensor end since the meaning of their points' times is unclear; ``seen`` says what was seen."""
+
+    robot: str
+    frame_id: str
+    seen: str
+
+
 @dataclass
 class Run:
     """A run up to its last record: the map, and what later messages still depend on.
@@ -73,6 +86,7 @@ class Run:
         record: number of the last record, messages and events together.
         clouds: logged clouds without a decision, by input number.
         doubts: what is wrong with the stamps of those in doubt.
+        times: how the times of the sensors' points are read.
         newest_stamp_ns: of the points in the map.
     """
 
@@ -85,6 +99,7 @@ class Run:
     robots: dict[str, Robot] = field(default_factory=dict)
     clouds: dict[int, LoggedCloud] = field(default_factory=dict)
     doubts: dict[int, Doubt] = field(default_factory=dict)
+    times: SensorTimes = field(default_factory=SensorTimes)
     duplicates: Duplicates = field(init=False)
     inbox: Inbox = field(init=False)
 
@@ -103,8 +118,9 @@ class Run:
         self.record += 1
         self.duplicates.add(identity, self.input)
         if isinstance(content, Cloud):
+            self.times.count(robot, content, self.settings)
             cloud = self.keep(self.input, robot, content, arrival or REPLAYED)
-            self._judge_stamp(cloud, received_ns)
+            self._judge_stamp(cloud, content.stamp_ns, received_ns)
             if arrival is not None:
                 self.inbox.feed(cloud)
             return Taken(self.input)
@@ -118,13 +134,48 @@ class Run:
 
     def keep(self, number: int, robot: str, content: Cloud, arrival: Arrival = REPLAYED) -> LoggedCloud:
         """Keep a logged cloud until its event."""
-        cloud = self.clouds[number] = LoggedCloud.of(number, robot, content, arrival)
+        timed = self.times.read(robot, content, self.settings)
+        cloud = self.clouds[number] = LoggedCloud.of(number, robot, content, timed, arrival)
         return cloud
 
     def resume(self, now: float) -> None:
         """Continue live after a replay: undecided clouds wait again, from monotonic time ``now`` (s) on."""
         for number, cloud in sorted(self.clouds.items()):
-            self.inbox.feed(self.keep(number, cloud.robot, cloud.cloud, Arrival(now, promised=True, resumed=True)))
+            self.clouds[number] = replace(cloud, arrival=Arrival(now, promised=True, resumed=True))
+            self.inbox.feed(self.clouds[number])
+
+    def find_times(self, now: float) -> Iterator[SensorTimeEvent | NoTimes]:
+        """Find how the times of waiting clouds are read, at monotonic time ``now`` (s).
+
+        Log each event and give it to `read_times` before the next. Clouds whose times are unclear end as `time_form`.
+        """
+        for clouds, due in self.inbox.untimed(now):
+            robot, frame_id = sensor = clouds[0].sensor
+            found = self.times.find(sensor, [one.cloud for one in clouds], self.settings, last=due)
+            if isinstance(found, Ambiguous):
+                self.doubts.update({one.input: Doubt(CloudReason.TIME_FORM) for one in clouds})
+                yield NoTimes(robot, frame_id, found.seen)
+            elif found is not None:
+                yield SensorTimeEvent(
+                    epoch=self.epoch, robot=robot, frame_id=frame_id, field=found.field, unit=found.unit,
+                    origin=found.origin, sequence=self.map.sequence,
+                )  # fmt: skip
+
+    def read_times(self, event: SensorTimeEvent) -> SensorTimeEvent:
+        """Read the times of a sensor's points in this form from now on, and those of its waiting clouds."""
+        sensor = event.robot, event.frame_id
+        self.times.forms[sensor] = TimeForm(event.field, event.unit, event.origin)
+
+        def with_times(cloud: LoggedCloud) -> LoggedCloud:
+            timed = None if cloud.timed else self.times.read(cloud.robot, cloud.cloud, self.settings)
+            return cloud if timed is None else cloud.with_times(timed)
+
+        for number, cloud in self.clouds.items():
+            if cloud.sensor == sensor:
+                self.clouds[number] = with_times(cloud)
+        if sensor in self.inbox.queues:
+            self.inbox.queues[sensor].replace(lambda cloud: self.clouds[cloud.input])
+        return event.model_copy(update={"epoch": self.epoch, "sequence": self.map.sequence})
 
     def decide(self, now: float) -> Proposal | None:
         """Take the next cloud that can be decided at monotonic time ``now`` (s) out of the inbox; None if none can."""
@@ -216,10 +267,13 @@ class Run:
                     f"an event names input {event.input} of {event.robot}, which is a cloud of {cloud.robot}"
                 )
             return self.place(Proposal(cloud, event.outcome, tuple(event.poses)))()
+        if isinstance(event, SensorTimeEvent):
+            return self.read_times(event)
         return self.reset() if isinstance(event, ResetEvent) else self.checkpoint()
 
     def use(self, settings: Settings) -> None:
         """Continue under other settings, such as those of the log's next file."""
+        self.times.forget_changed(self.settings, settings)
         self.settings = self.inbox.settings = settings
         for robot in self.robots.values():
             robot.use(settings)
@@ -230,13 +284,14 @@ class Run:
             self.robots[name] = Robot(self.settings, name)
         return self.robots[name]
 
-    def _judge_stamp(self, cloud: LoggedCloud, received_ns: int) -> None:
+    def _judge_stamp(self, cloud: LoggedCloud, stamp_ns: int, received_ns: int) -> None:
         """Note what is wrong with a new cloud's stamp."""
         if self.settings.rules == 1 or cloud.cloud.frame_id == self.settings.frame_id:
             return
-        robot = self.robot(cloud.robot)
+        robot, config = self.robot(cloud.robot), self.settings.config.sensor(*cloud.sensor)
+        offset_ns = 0 if config is None else round(config.time_offset * NS)
         sensor = robot.sensors.setdefault(cloud.cloud.frame_id, SensorClock())
-        doubt = sensor.cloud(cloud.input, cloud.cloud.stamp_ns, received_ns, robot.clock)
+        doubt = sensor.cloud(cloud.input, stamp_ns + offset_ns, received_ns, robot.clock)
         if doubt is not None:
             self.doubts[cloud.input] = doubt
 

@@ -15,6 +15,9 @@ NOTICE_NS = 200_000_000
 ROW = 2
 """Clouds in a row that fell back, after which the sensor's clock did."""
 
+LEAP_ROW = 3
+"""Clouds in a row that must be far ahead before their stamps count."""
+
 STILL = 3
 """Clouds in a row with one stamp, while poses go on, after which the sensor's clock stands still."""
 
@@ -81,6 +84,7 @@ class SensorClock:
         confirmed_ns: the newest stamp that a later cloud did not fall behind, and its arrival.
         fell: input number of the last cloud that fell behind its predecessor.
         fenced: since the robot's clock went back, no cloud fell back: they may be of the clock before.
+        leapt: clouds in a row that are more than `LIMIT_NS` ahead of ``confirmed_ns``.
         row: clouds in a row that are more than `NOTICE_NS` behind ``confirmed_ns``; ``row_taken``: poses taken then.
         same: clouds in a row with the stamp of the one before; ``same_newest_ns``: the newest pose at the first.
         offset_ns: by how much the clock is ahead of the robot's, as far as known; 0 if it agrees.
@@ -95,6 +99,7 @@ class SensorClock:
     confirmed_arrival_ns: int = 0
     fell: int = 0
     fenced: bool = False
+    leapt: int = 0
     row: int = 0
     row_taken: int = 0
     same: int = 0
@@ -125,7 +130,9 @@ class SensorClock:
         self._measure(stamp_ns, arrival_ns)
         if self._stands_still(stamp_ns, last, clock):
             return Doubt(CloudReason.CLOCK_OFFSET)
-        if not fell and last > self.confirmed_ns:
+        far = 0 <= self.confirmed_ns < stamp_ns - LIMIT_NS  # a wild stamp, or the clock leapt forward
+        self.leapt = 0 if not far else 1 if fell else self.leapt + 1
+        if not fell and last > self.confirmed_ns and (not far or self.leapt >= LEAP_ROW):
             self.confirmed_ns, self.confirmed_arrival_ns = last, last_arrival
         behind = 0
         if stamp_ns < self.confirmed_ns:
@@ -159,7 +166,7 @@ class SensorClock:
         """Begin anew: the robot's clock went back, and the sensor's with it, or the map was emptied."""
         self.confirmed_ns = -1
         self.fenced = False
-        self.row = self.same = self.offset_ns = self.ahead = self.integrated = 0
+        self.leapt = self.row = self.same = self.offset_ns = self.ahead = self.integrated = 0
         self.usual_ns = None
         self.window = Window()
 

@@ -43,6 +43,7 @@ def cut_of(run_id: str, config: Config, run: Run) -> Cut:
         configuration_digest=configuration_digest(config),
         poses={name: robot.to_state() for name, robot in run.robots.items()},
         doubts={str(number): doubt.to_state() for number, doubt in run.doubts.items()},
+        times=run.times.to_state(),
         duplicates=run.duplicates.to_state(),
         digest=run.map.digest(),
     )
@@ -55,6 +56,7 @@ def take_cut(cut: Cut, run: Run) -> None:
     for name, robot in cut.poses.items():
         run.robot(name).load_state(robot)
     run.doubts.update({int(number): Doubt.of_state(doubt) for number, doubt in cut.doubts.items()})
+    run.times.load_state(cut.times)
     run.duplicates.load_state(cut.duplicates)
 
 
