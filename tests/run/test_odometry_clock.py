@@ -70,13 +70,14 @@ def test_the_first_is_believed_whatever_its_stamp() -> None:
 @pytest.mark.parametrize(
     ("after", "verdicts"),
     [
-        # Ahead by up to twice the longest step, which is a tenth here.
+        # Ahead by up to three usual steps, which are a tenth here. The usual one is the second longest of the last.
         ([20], [TAKE]),
-        ([21], [TAKE]),
-        ([21.01], [HOLD]),
+        ([22], [TAKE]),
+        ([22.01], [HOLD]),
         ([20.5, 20.55, 20.57], [TAKE] * 3),
-        ([21, 25], [TAKE, TAKE]),
-        ([21, 25, 33], [TAKE, TAKE, HOLD]),
+        ([21, 24.01], [TAKE, HOLD]),
+        ([21, 23, 28], [TAKE] * 3),
+        ([21, 23, 28.01], [TAKE, TAKE, HOLD]),  # never longer than the longest gap of poses
         # The newest stamp again.
         ([19, 19, 20], [REPEAT, REPEAT, TAKE]),
         # A clock that leapt forward takes three with rising stamps.
@@ -84,8 +85,11 @@ def test_the_first_is_believed_whatever_its_stamp() -> None:
         ([100, 101, 102, 103], [HOLD, HOLD, FORWARD, TAKE]),
         ([100, 100, 101, 102], [HOLD, HOLD, HOLD, FORWARD]),
         ([102, 101, 100], [HOLD, HOLD, HOLD]),
-        ([100, 200, 301], [HOLD, HOLD, HOLD]),  # a step longer than the pose history is no row
-        ([100, 200, 300], [HOLD, HOLD, FORWARD]),
+        ([100, 105, 110], [HOLD, HOLD, FORWARD]),
+        ([100, 105.01, 110], [HOLD] * 3),  # farther apart than the longest gap it takes ten
+        ([100 + 10 * k for k in range(10)], [HOLD] * 9 + [FORWARD]),
+        ([100 + 100 * k for k in range(10)], [HOLD] * 9 + [FORWARD]),
+        ([100 + 100.01 * k for k in range(12)], [HOLD] * 12),  # steps longer than the pose history are no row
         # One wild stamp costs itself alone, ahead or behind.
         ([36000, 20, 21], [HOLD, TAKE, TAKE]),
         ([36000, 20, 36000, 21, 36000, 22], [HOLD, TAKE] * 3),
@@ -99,11 +103,13 @@ def test_the_first_is_believed_whatever_its_stamp() -> None:
         ([5, 5, 6, 7], [HOLD, HOLD, HOLD, BACK]),
         ([7, 6, 5], [HOLD, HOLD, HOLD]),
         ([-500, -499, -498], [HOLD, HOLD, BACK]),
+        ([-900 + 10 * k for k in range(10)], [HOLD] * 9 + [BACK]),
         # By less than it takes to notice: rising from below, it passes the newest.
         ([18, 19, 20], [HOLD, REPEAT, BREAK]),
         ([18.5, 19.5], [HOLD, BREAK]),
         ([17.5, 18.5, 19.5], [HOLD, HOLD, BREAK]),
-        ([17.0, 20], [HOLD, TAKE]),  # from there no step leads to 20: a wild one
+        ([17.0, 20], [HOLD, BREAK]),
+        ([16.9, 20], [HOLD, TAKE]),  # from there no step leads to 20: a wild one
         # While one ahead is held, one behind does not count for it.
         ([100, 5, 101, 6, 102, 7], [HOLD] * 6),
     ],
@@ -126,14 +132,21 @@ def test_a_step_is_never_longer_than_the_longest_gap() -> None:
     assert heard.add(START + 18.01).verdict is HOLD
 
 
-def test_the_longest_of_the_last_eight_steps_counts() -> None:
-    row = [START, START + 4]
-    for _ in range(7):
+def test_a_lost_message_does_not_count_as_usual() -> None:
+    """The longest step may be one over a message that was lost; two of them in eight are no chance."""
+    heard = Heard([*STEADY, START + 22, START + 23])
+    assert heard.robot.judge(round((START + 26.01) * TENTH)) is HOLD
+    assert heard.all([START + 26, START + 30]) == [TAKE, TAKE]
+
+
+def test_the_last_eight_steps_count() -> None:
+    row = [START, START + 3, START + 6]
+    for _ in range(6):
         row.append(row[-1] + 1)
-    assert Heard(row).add(row[-1] + 5).verdict is TAKE, "0.4 s is one of the last eight"
+    assert Heard(row).add(row[-1] + 5).verdict is TAKE, "two of the last eight are 0.3 s long"
     row.append(row[-1] + 1)
-    assert Heard(row).add(row[-1] + 2).verdict is TAKE
-    assert Heard(row).add(row[-1] + 2.01).verdict is HOLD
+    assert Heard(row).add(row[-1] + 3).verdict is TAKE
+    assert Heard(row).add(row[-1] + 3.01).verdict is HOLD
 
 
 def test_judging_changes_nothing() -> None:
@@ -183,6 +196,17 @@ def test_back_begins_anew_with_the_three() -> None:
     assert (clock.begun, clock.taken, clock.newest_ns) == (21, 3, (START + 7) * TENTH)
     assert clock.fence_ns == (START + 5) * TENTH + BACK_FENCE_NS
     assert heard.robot.buffer.horizon_ns < (START + 5) * TENTH
+
+
+@pytest.mark.parametrize("first", [[START + 36000], [START + 36000, START + 36001]])
+def test_what_came_first_may_be_wild(first: list[int]) -> None:
+    """Then no clock went back, and no cloud ends for it."""
+    heard = Heard(first)
+    taken = [heard.add(START + k) for k in range(3)]
+    assert [one.verdict for one in taken] == [HOLD, HOLD, BACK]
+    assert taken[-1].ended_from == 0
+    assert heard.poses == [(START + k) * TENTH for k in range(3)]
+    assert heard.robot.clock.begun == 0
 
 
 def test_a_break_begins_anew_with_the_last() -> None:
