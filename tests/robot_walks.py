@@ -13,6 +13,9 @@ from roughmap_schemas import Config, IntegrationEvent, decode_event, encode_clou
 from roughmap_schemas.kinds import Kind
 from roughmap_service.inputs.queue import InputMessage
 
+BEGUN_NS = 4_000_000_000 * 10**9
+"""Wall time at which robots begin to send: later than any event is logged, as log times only rise."""
+
 Clock = Callable[[float], float]
 """From the true time in s to the time that a clock shows."""
 
@@ -100,7 +103,7 @@ def play(messages: list[Message], directory: Path, settings: Config | None = Non
                 payload = encode_cloud(np.array([[1.0, 0.0, -0.5]]) + len(truth) * 1e-6, stamp_ns, one.frame)
             else:
                 payload = encode_odometry(stamp_ns, "map", (one.place, 0.0, 1.0), LEVEL, PRECISE)
-            received = T0 + round(one.arrival * 1e9)
+            received = BEGUN_NS + round(one.arrival * 1e9)
             number = live.live.accept(InputMessage(one.kind, "rover", payload, received, one.arrival), one.arrival)
             if number is not None:
                 truth.setdefault(number, one)

@@ -185,6 +185,11 @@ class LoggedRun:
         self.put(Kind.ODOMETRY, odometry(t * 0.1 + 0.06, x + 0.1), robot)
         return self.decide()[-1]
 
+    def skip_to(self, t: float, x: float = 0.0, robot: str = "rover") -> None:
+        """Put three poses before ``t`` tenths of a second after T0, so that a scan there is believed after a gap."""
+        for before in (3, 2, 1):
+            self.put(Kind.ODOMETRY, odometry((t - before) * 0.1, x), robot)
+
     def cut(self) -> Cut:
         """Return the run's current cut."""
         return cut_of(self.run_id, self.config, self.run)

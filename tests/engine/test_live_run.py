@@ -83,9 +83,8 @@ def test_no_wait_ends_before_all_that_came_in_it_is_taken_up(tmp_path: Path) -> 
         live = LiveRun(run.run, run.view, run.writer, run.recorder, counters, enough, run.streams, hear)
         sequencer = sequencer_of(live, intake, run.writer, enough)
         arrival = time.monotonic()
-        messages = [(Kind.POINTS, cloud(10.0))]
-        messages += [(Kind.ODOMETRY, odometry(9.0 + k * 1e-3)) for k in range(TURN_MESSAGES)]
-        messages += [(Kind.ODOMETRY, odometry(t)) for t in (9.8, 10.2)]
+        messages = [(Kind.POINTS, cloud(1.0005 + TURN_MESSAGES * 1e-3))]
+        messages += [(Kind.ODOMETRY, odometry(1.0 + k * 1e-3)) for k in range(TURN_MESSAGES + 2)]
         for kind, payload in messages:
             intake.put(InputMessage(kind, "rover", payload, T0, arrival))
         sequencer.start()

@@ -84,11 +84,11 @@ class LiveRun:
             return None
         if isinstance(content, Odometry):
             self._decide_before(message.robot, content, now)
-        self._recorder.input(
+        logged_ns = self._recorder.input(
             message.kind, message.robot, message.payload, message.received_ns, content.stamp_ns, run.input + 1
         )
         arrival = Arrival(message.arrival, promised=message.reply is not None)
-        taken = run.take(message.robot, content, message.identity, message.received_ns, arrival)
+        taken = run.take(message.robot, content, message.identity, logged_ns, arrival)
         self._notices.message(message.robot, content, taken)
         self._acknowledge(message, taken.input, duplicate=False)
         return taken.input

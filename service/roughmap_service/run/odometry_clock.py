@@ -106,7 +106,7 @@ class OdometryClock:
         if newest < 0:
             return Verdict.TAKE
         if stamp_ns == newest:
-            return Verdict.REPEAT
+            return Verdict.BACK if self.anew_from else Verdict.REPEAT
         usual_ns = sorted(self.gaps)[-2] if len(self.gaps) > 1 else history_ns
         next_ns = min(max_gap_ns, history_ns, NEXT * usual_ns)
         if newest < stamp_ns <= newest + next_ns:

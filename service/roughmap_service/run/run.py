@@ -110,7 +110,7 @@ class Run:
     def take(
         self, robot: str, content: Content, identity: Identity, received_ns: int, arrival: Arrival | None = None
     ) -> Taken:
-        """Number the next message and apply it; ``received_ns`` is the wall time of its arrival, as logged.
+        """Number the next message and apply it; ``received_ns`` is its log time, the same in a replay.
 
         With an ``arrival`` a cloud waits in the inbox. A replayed one has none: its event holds what was decided.
         """
