@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from roughmap import RoughMap
 from roughmap_schemas import (
+    Cloud,
     CloudReason,
     Event,
     IntegrationEvent,
@@ -90,6 +91,8 @@ class LiveRun:
         arrival = Arrival(message.arrival, promised=message.reply is not None)
         taken = run.take(message.robot, content, message.identity, logged_ns, arrival)
         self._notices.message(message.robot, content, taken)
+        if isinstance(content, Cloud):
+            self._notices.sensor(message.robot, content.frame_id, run.settings.config)
         self._acknowledge(message, taken.input, duplicate=False)
         return taken.input
 
@@ -180,7 +183,7 @@ class LiveRun:
                 self._log(found)
                 self.run.read_times(found)
                 self._publish_event(encode_event(found))
-            self._notices.times(found)
+            self._notices.times(found, self.run.settings.config)
 
     def _integrate(self, proposal: Proposal) -> IntegrationEvent:
         """Apply a proposal and log the event.
