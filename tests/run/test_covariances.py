@@ -144,7 +144,7 @@ def test_a_negative_variance_is_none(c: np.ndarray, policy: Policy) -> None:
 def test_a_correlation_over_one_is_none(policy: Policy) -> None:
     c = np.eye(6)
     c[0, 1] = c[1, 0] = 1.001
-    with pytest.raises(BadCovariance, match="covariance 1.001 is larger than its variances allow"):
+    with pytest.raises(BadCovariance, match=r"covariance 1\.001 is larger than its variances allow"):
         settle(c, SIGMA, policy)
     c = np.zeros((6, 6))
     c[0, 1] = c[1, 0] = 1e-9
@@ -239,7 +239,7 @@ numbers = st.one_of(
     st.floats(0.0, 1e7),
     st.floats(-1e-12, 1e-12),
     st.floats(0.9, 1.1),
-)
+)  # fmt: skip
 
 
 @st.composite
