@@ -15,7 +15,7 @@ from service_tools import LEVEL, PRECISE, config
 from roughmap_schemas import CloudReason, Odometry
 from roughmap_service.run.odometry_clock import BACK_FENCE_NS, OdometryClock, Verdict
 from roughmap_service.run.robot import Robot
-from roughmap_service.run.sensor_clock import LIMIT_NS, LONG_ROW, POSES, SETTLED, Doubt, SensorClock
+from roughmap_service.run.sensor_clock import LIMIT_NS, LONG_ROW, SETTLED, Doubt, SensorClock
 from roughmap_service.run.settings import Settings
 
 NS = 10**9
@@ -61,7 +61,8 @@ class Heard:
         return doubt
 
     def play(
-        self, seconds: float, *, first: float = 0.0, scans: Clock = true, late: Clock = lambda _: 0.1, speed: float = 1.0,
+        self, seconds: float, *, first: float = 0.0, scans: Clock = true, late: Clock = lambda _: 0.1,
+        speed: float = 1.0,
     ) -> "Heard":  # fmt: skip
         """Clouds with the stamps of the clock ``scans``, ``late`` by so much; all arrive ``speed`` times as fast."""
         begin, end = round(first * 20), round((first + seconds) * 20)

@@ -36,8 +36,8 @@ class LogWriter:
     what the failed one lacks.
 
     ``last_ns``, kept as ``begun_ns``, is the log time of the run's last message so far: log times rise, whatever the
-    clock does between two starts. ``synced`` is called with the seconds that each fsync took. ``queue_limit`` and ``max_file_bytes`` are in
-    bytes, ``flush_interval`` and ``max_file_age`` in seconds.
+    clock does between two starts. ``synced`` is called with the seconds that each fsync took. ``queue_limit`` and
+    ``max_file_bytes`` are in bytes, ``flush_interval`` and ``max_file_age`` in seconds.
     """
 
     def __init__(
