@@ -216,6 +216,8 @@ class LiveRun:
         if message.reply is None:
             if duplicate:
                 self._counters.refuse(Refusal.DUPLICATE)
+                text = "they are in the log already"
+                self._streams.refused(message.robot, message.kind.value, Refusal.DUPLICATE, text)
             return
         receipt = Receipt(input=number, epoch=self.run.epoch, durable=True, duplicate=duplicate)
         reply = message.reply
