@@ -2,7 +2,7 @@
 
     session.py         the Zenoh session, and the claim on the map's name
     subscriptions.py   subscribers and ingest queryables: key, encoding and size are checked in Zenoh's threads
-    losses.py          which messages were lost on the way, by publishers' numbers
+    gaps.py            which messages were lost on the way, by publishers' numbers
     queue.py           the input queue: bounded, fair between robots
     admission.py       the checks before a message is logged; how a refused one is counted and shown
     receipts.py        the answers to ingest requests

@@ -13,7 +13,7 @@ from roughmap_schemas.kinds import Kind
 from roughmap_service.host.counters import OTHERS, Counters
 from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.admission import refuse
-from roughmap_service.inputs.losses import Losses
+from roughmap_service.inputs.gaps import Gaps
 from roughmap_service.inputs.queue import InputMessage, InputQueue
 from roughmap_service.inputs.receipts import IngestReply, ReceiptSender
 
@@ -44,7 +44,7 @@ class ZenohInputs:
         self._receipts = receipts
         self._max_message = max_message
         self._counters = counters
-        self._losses = Losses()
+        self._gaps = Gaps()
         self._undeclare: list[Callable[[], object]] = []
         for kind, key, parse in (
             (Kind.POINTS, keys.points_any, keys.parse_points),
@@ -114,9 +114,9 @@ class ZenohInputs:
         attachment = sample.attachment
         source = getattr(sample, "source_info", None)  # Zenoh marks it as unstable
         if source is not None:
-            lost = self._losses.sourced(str(sample.key_expr), str(source.source_id), source.source_sn)
+            lost = self._gaps.sourced(str(sample.key_expr), str(source.source_id), source.source_sn)
         elif attachment is not None and len(attachment) == 8:
-            lost = self._losses.numbered(robot, kind, int.from_bytes(attachment.to_bytes(), "little"))
+            lost = self._gaps.numbered(robot, kind, int.from_bytes(attachment.to_bytes(), "little"))
         else:
             return
         if lost:

@@ -24,7 +24,7 @@ WAIT: Final = 8
 that came instead was another publisher's. Where so many in a row belonged to one count, there is no need to wait."""
 
 RECENT: Final = 32
-"""A count that so many messages of the kind did not belong to has no losses."""
+"""A count that so many messages of the kind did not belong to has no gaps."""
 
 
 @dataclass(eq=False, slots=True)
@@ -97,7 +97,7 @@ class _Robot:
         return lost
 
 
-class Losses:
+class Gaps:
     """The numbers of all publishers; for any thread."""
 
     def __init__(self, max_publishers: int = MAX_PUBLISHERS) -> None:

@@ -1,4 +1,4 @@
-"""Which messages were lost on the way: several publishers on one key, restarts, losses."""
+"""Which messages were lost on the way: several publishers on one key, restarts, gaps."""
 
 import pytest
 from hypothesis import given
@@ -6,19 +6,19 @@ from hypothesis import strategies as st
 from properties import examples
 
 from roughmap_schemas.kinds import Kind
-from roughmap_service.inputs.losses import MAX_GAP, WAIT, Losses
+from roughmap_service.inputs.gaps import MAX_GAP, WAIT, Gaps
 
 KEY = "robots/r1/points"
 
 
 def lost(numbers: list[int]) -> int:
-    losses = Losses()
-    return sum(losses.numbered("r1", Kind.POINTS, number) for number in numbers)
+    gaps = Gaps()
+    return sum(gaps.numbered("r1", Kind.POINTS, number) for number in numbers)
 
 
 def lost_of_kinds(messages: list[tuple[Kind, int]]) -> int:
-    losses = Losses()
-    return sum(losses.numbered("r1", kind, number) for kind, number in messages)
+    gaps = Gaps()
+    return sum(gaps.numbered("r1", kind, number) for kind, number in messages)
 
 
 @pytest.mark.parametrize(
@@ -123,21 +123,21 @@ def test_one_count_for_all_kinds(start: int, sent: list[tuple[Kind, bool]], rest
 
 
 def test_where_zenoh_names_the_publisher() -> None:
-    losses = Losses()
+    gaps = Gaps()
     sent = [("a", 5), ("b", 0), ("a", 6), ("b", 3), ("a", 8), ("a", 0), ("a", 1), ("a", 2**32 - 1), ("a", 0)]
-    assert [losses.sourced(KEY, *one) for one in sent] == [0, 0, 0, 2, 1, 0, 0, 2**32 - 3, 0]
-    assert losses.sourced("robots/r2/points", "a", 7) == 0, "on another key it is another one"
-    assert losses.numbered("r1", Kind.POINTS, 7) == 0
+    assert [gaps.sourced(KEY, *one) for one in sent] == [0, 0, 0, 2, 1, 0, 0, 2**32 - 3, 0]
+    assert gaps.sourced("robots/r2/points", "a", 7) == 0, "on another key it is another one"
+    assert gaps.numbered("r1", Kind.POINTS, 7) == 0
 
 
 def test_who_was_silent_longest_is_forgotten() -> None:
     """Names come from outside, so there is a limit on them."""
-    losses = Losses(max_publishers=2)
+    gaps = Gaps(max_publishers=2)
     for robot, number, expected in (("a", 0, 0), ("b", 0, 0), ("a", 2, 1), ("c", 0, 0), ("b", 2, 0), ("c", 2, 1)):
-        assert losses.sourced(robot, "", number) == expected, (robot, number)
+        assert gaps.sourced(robot, "", number) == expected, (robot, number)
     for number in range(WAIT):
         for robot in ("a", "b"):
-            losses.numbered(robot, Kind.POINTS, number)
-    assert losses.numbered("b", Kind.POINTS, WAIT + 1) == 1
-    assert losses.numbered("c", Kind.POINTS, 0) == 0
-    assert losses.numbered("a", Kind.POINTS, WAIT + 1) == 0
+            gaps.numbered(robot, Kind.POINTS, number)
+    assert gaps.numbered("b", Kind.POINTS, WAIT + 1) == 1
+    assert gaps.numbered("c", Kind.POINTS, 0) == 0
+    assert gaps.numbered("a", Kind.POINTS, WAIT + 1) == 0
