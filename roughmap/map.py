@@ -34,9 +34,10 @@ class RoughMap:
     ``cell_size``: metres. ``error_model``: "point", "cuboid" or "ellipsoid". ``coverage``: half extent of the error
     body in sigmas. ``min_radius``: smallest half extent, metres. ``min_distance``: smallest distance in eq. 16, metres.
     ``min_share``: a cell counts if its share is at least this fraction of the point's largest share.
-    ``max_horizontal_radius``: metres, beyond which a point is too uncertain. ``bounds``: (xmin, ymin, xmax, ymax)
-    metres, half-open. ``levels``: number of levels, level 0 included. ``threads``: threads that share the work (None:
-    numba's number). ``shelf``: storage for the tiles that `spill` moves out of memory.
+    ``max_horizontal_radius`` (half extent) and ``max_vertical_sigma`` (standard deviation): metres, beyond which a
+    point is too uncertain. ``bounds``: (xmin, ymin, xmax, ymax) metres, half-open. ``levels``: number of levels, level
+    0 included. ``threads``: threads that share the work (None: numba's number). ``shelf``: storage for the tiles that
+    `spill` moves out of memory.
 
     The same points, covariances and stamps in the same order give the same bytes of state, for any division into calls
     and any number of threads.
@@ -59,6 +60,7 @@ class RoughMap:
         levels: int = 8,
         threads: int | None = None,
         *,
+        max_vertical_sigma: float = 0.5,
         shelf: Shelf | None = None,
     ) -> None:
         self.settings = MapSettings(
@@ -69,6 +71,7 @@ class RoughMap:
             min_distance=min_distance,
             min_share=min_share,
             max_horizontal_radius=max_horizontal_radius,
+            max_vertical_sigma=max_vertical_sigma,
             bounds=bounds,
             levels=levels,
         )

@@ -34,6 +34,7 @@ class MapSettings:
     min_distance: float
     min_share: float
     max_horizontal_radius: float
+    max_vertical_sigma: float
     bounds: Sequence[float] | None
     levels: int
 
@@ -44,6 +45,10 @@ class MapSettings:
             if not _is_number(value) or not 1e-30 <= value <= 1e30:
                 raise ValueError(f"{name}: expected a finite number above 0 (1e-30 to 1e30), got {value!r}")
             object.__setattr__(self, name, float(value))
+        tallest: Any = self.max_vertical_sigma
+        if not _is_number(tallest) or not tallest > 0.0:
+            raise ValueError(f"max_vertical_sigma: expected a number above 0, or infinity, got {tallest!r}")
+        object.__setattr__(self, "max_vertical_sigma", float(tallest))
         if self.error_model not in ERROR_MODELS:
             raise ValueError(f"error_model: expected one of {', '.join(ERROR_MODELS)}, got {self.error_model!r}")
         if not _is_number(self.min_share) or not 0.0 <= self.min_share <= 1.0:
@@ -82,9 +87,9 @@ class MapSettings:
         return max(low[0], _INT_MIN), max(low[1], _INT_MIN), min(high[0], _INT_MAX), min(high[1], _INT_MAX)
 
     @property
-    def error(self) -> tuple[float, float, float]:
-        """coverage, min_radius, max_horizontal_radius."""
-        return self.coverage, self.min_radius, self.max_horizontal_radius
+    def error(self) -> tuple[float, float, float, float]:
+        """coverage, min_radius, max_horizontal_radius, max_vertical_sigma."""
+        return self.coverage, self.min_radius, self.max_horizontal_radius, self.max_vertical_sigma
 
     @property
     def rules(self) -> Rules:

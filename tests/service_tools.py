@@ -29,6 +29,7 @@ from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.recovery import Recovered, blank
 from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.queue import InputMessage
+from roughmap_service.inputs.streams import Streams
 from roughmap_service.journal.file import open_new
 from roughmap_service.journal.items import Rotate
 from roughmap_service.journal.recorder import Recorder
@@ -136,8 +137,9 @@ class LoggedRun:
         memory = MemoryLimit(1 << 50, shelf)
         self.published: list[bytes] = []
         self.counters = Counters()
+        self.streams = Streams(self.config)
         self.live = LiveRun(
-            self.run, self.view, self.writer, self.recorder, self.counters, memory, self.published.append
+            self.run, self.view, self.writer, self.recorder, self.counters, memory, self.streams, self.published.append
         )
         self.run.resume(0.0)
 
@@ -177,11 +179,16 @@ class LoggedRun:
         self.writer.put(Rotate(self.run.map.digest()))
 
     def scan(self, t: float, x: float = 0.0, robot: str = "rover") -> IntegrationEvent:
-        """Put a pose, a cloud and a later pose; decide the cloud."""
-        self.put(Kind.ODOMETRY, odometry(t, x), robot)
-        self.put(Kind.POINTS, cloud(t + 0.05), robot)
-        self.put(Kind.ODOMETRY, odometry(t + 0.1, x + 0.1), robot)
+        """Put a pose, a cloud and a later pose, ``t`` tenths of a second after T0; decide the cloud."""
+        self.put(Kind.ODOMETRY, odometry(t * 0.1, x), robot)
+        self.put(Kind.POINTS, cloud(t * 0.1 + 0.03), robot)
+        self.put(Kind.ODOMETRY, odometry(t * 0.1 + 0.06, x + 0.1), robot)
         return self.decide()[-1]
+
+    def skip_to(self, t: float, x: float = 0.0, robot: str = "rover") -> None:
+        """Put three poses before ``t`` tenths of a second after T0, so that a scan there is believed after a gap."""
+        for before in (3, 2, 1):
+            self.put(Kind.ODOMETRY, odometry((t - before) * 0.1, x), robot)
 
     def cut(self) -> Cut:
         """Return the run's current cut."""

@@ -143,20 +143,23 @@ def bound_cuboids(planes: F8, reason: U1, cells: I4, body: F8, q: F8, a: float, 
     """`cuboid`: for one block, set cells, reasons, ``body`` (>= 2, BLOCK): rx, ry, and ``q`` = w / p = a / (rx ry rz).
 
     ``planes``: see `place`. ``area``: xmin, ymin, xmax, ymax, half-open, metres. ``error``: coverage, min_radius,
-    max_horizontal_radius. Points that already have a reason keep it.
+    max_horizontal_radius, max_vertical_sigma. Points that already have a reason keep it.
     """
-    k, least, widest = error
+    k, least, widest, tallest = error
     for n in range(BLOCK):
         xx, xy, xz, yy, yz, zz = _covariance(planes, n)
         sx = k * math.sqrt(xx)
         sy = k * math.sqrt(yy)
         rx = max(sx, least)
         ry = max(sy, least)
-        rz = max(k * math.sqrt(zz), least)
+        sz = math.sqrt(zz)
+        rz = max(k * sz, least)
         density = a / (rx * ry * rz)
         good = _is_covariance(xx, xy, xz, yy, yz, zz)
         good &= (density > _DENSITY_MIN) & (density < _DENSITY_MAX)
-        _bound(n, planes, reason, cells, rx, ry, _covariance_reason(good, max(sx, sy) > widest), a, area)
+        _bound(
+            n, planes, reason, cells, rx, ry, _covariance_reason(good, (max(sx, sy) > widest) | (sz > tallest)), a, area
+        )
         body[0, n] = rx
         body[1, n] = ry
         q[n] = density
@@ -170,7 +173,7 @@ def bound_ellipsoids(
 
     Eigenvalues below (min_radius / k)^2 are raised to it in ``planes``. ``judged`` is scratch.
     """
-    k, least, widest = error
+    k, least, widest, tallest = error
     floor = (least / k) * (least / k)
     # Raising an eigenvalue slightly below zero may widen a very high body without limit, since the slack is relative to
     # the trace. ``room`` is the largest extent of any other body, and the scratch for footprints is sized for it.
@@ -179,7 +182,7 @@ def bound_ellipsoids(
     for n in range(BLOCK):
         xx, xy, xz, yy, yz, zz = _covariance(planes, n)
         good = _is_covariance(xx, xy, xz, yy, yz, zz)
-        judged[n] = _covariance_reason(good, k * math.sqrt(max(xx, yy)) > widest)
+        judged[n] = _covariance_reason(good, (k * math.sqrt(max(xx, yy)) > widest) | (math.sqrt(zz) > tallest))
         d0, d1, d2 = pivots(xx, xy, xz, yy, yz, zz)
         m0, m1, m2 = pivots(xx - floor, xy, xz, yy - floor, yz, zz - floor)
         thick = (m0 > 0.0) & (m1 > 0.0) & (m2 > 0.0)

@@ -59,6 +59,7 @@ class BatchMap(Mapping[str, F8]):
         min_distance: float = 1e-3,
         min_share: float = 0.05,
         max_horizontal_radius: float = 0.5,
+        max_vertical_sigma: float = 0.5,
         bounds: tuple[float, float, float, float] | None = None,
         height_tolerance: float = 0.05,
         limits: Mapping[str, float] | None = None,
@@ -76,7 +77,9 @@ class BatchMap(Mapping[str, F8]):
             S = _checked_covariances(covariance, len(where))
             _reject(reason, ~_is_covariance(S), PointReason.COVARIANCE)
             spread = np.sqrt(np.clip(np.maximum(S[:, 0, 0], S[:, 1, 1]), 0.0, None))
-            _reject(reason, coverage * spread > max_horizontal_radius, PointReason.UNCERTAIN)
+            high = np.sqrt(np.clip(S[:, 2, 2], 0.0, None))
+            too_wide = (coverage * spread > max_horizontal_radius) | (high > max_vertical_sigma)
+            _reject(reason, too_wide, PointReason.UNCERTAIN)
         _reject(reason, abs(where[:, 2]) > HEIGHT_MAX, PointReason.BOUNDS)
         if bounds is not None:
             x, y = where[:, 0], where[:, 1]

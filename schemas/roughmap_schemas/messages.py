@@ -285,7 +285,7 @@ class MapStatus(Reply):
     jumps: dict[str, Number]
     """Leaps of a robot's odometry and of its frame transforms, by robot."""
     problems: Annotated[dict[str, str], Field(max_length=32)] = {}
-    """What is wrong, one sentence each with cause and remedy, by subject: "robot r1", "robot r1 sensor lidar", "disk"."""
+    """What is wrong, one sentence each with cause and remedy, by subject: "robot r1", "log"."""
     lag_s: Lag
     rates: Rates
     memory_bytes: Number

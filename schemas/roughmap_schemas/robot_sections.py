@@ -40,7 +40,7 @@ class SensorConfig(Section):
     """From when the points' times count: the cloud's stamp at the sweep's start or at its end, or the Unix epoch."""
     time_offset: Real = 0.0
     """Added to the stamps of the sensor's clouds, to correct its clock."""
-    exclude: list[Box] = []
+    exclude: list[Box] = Field(default=[])
     """Boxes xmin, ymin, zmin, xmax, ymax, zmax in the robot's frame whose points are rejected: the robot itself."""
 
     @model_validator(mode="after")
@@ -68,10 +68,10 @@ def _as_it_is(value: object) -> object:
 
 
 class RobotConfig(Section):
-    """One robot: how its poses are trusted, and settings of its sensors, merged over the general ones of the same frame."""
+    """One robot: how far its poses are trusted, and its sensors, merged over the general ones of the frame."""
 
     pose_covariance: Literal["message", "floor", "cap", "configured"] = "message"
     """Covariance of the robot's poses: as in the message, at least or at most `input.pose_sigma`, or always that."""
     sensors: Annotated[
         dict[Frame, SensorConfig], BeforeValidator(_as_it_is, json_schema_input_type=dict[Frame, SensorOverrides])
-    ] = {}
+    ] = Field(default={})

@@ -174,10 +174,10 @@ class InputConfig(Section):
     max_speed: Positive = 30.0
     """A pose that moves faster, by more than ``max_leap``, is a leap."""
     max_leap: Positive = 0.3
-    """Distance from where the robot's motion would have brought it, beyond which a pose is a leap. Clouds over a leap are
-    rejected as `pose_jump`."""
+    """Distance from where the robot's motion would have brought it, beyond which a pose is a leap. Clouds over a leap
+    are rejected as `pose_jump`."""
     max_acceleration: Positive = 20.0
-    """Acceleration that the robot may have; half of it times the squared time between two poses adds to ``max_leap``."""
+    """Acceleration that the robot may have. Half of it times the squared time between poses adds to ``max_leap``."""
     pose_sigma: SixSigmas = (0.05, 0.05, 0.05, 0.01, 0.01, 0.01)
     """Standard deviations of poses without a covariance."""
     placed_sigma: NotNegative = 0.02

@@ -130,13 +130,40 @@ def test_times() -> None:
 
 
 def test_uncertain_is_measured_horizontally_and_with_coverage() -> None:
-    """k = 2 and sigma 0.25 give exactly 0.5 m, which is allowed; along z there is no limit."""
-    m = RoughMap(threads=1, coverage=2.0, max_horizontal_radius=0.5)
+    """k = 2 and sigma 0.25 give exactly 0.5 m, which is allowed; along z is another limit, here none."""
+    m = RoughMap(threads=1, coverage=2.0, max_horizontal_radius=0.5, max_vertical_sigma=np.inf)
     S = np.zeros((5, 3, 3))
     over = np.nextafter(0.25, 1.0)
     for n, sigma in enumerate([(0.25, 0.25, 0.1), (over, 0.1, 0.1), (0.1, over, 0.1), (0.1, 0.1, 9.0), (0, 0, 0)]):
         S[n] = np.diag(np.square(sigma))
     assert m.add(np.zeros((5, 3)), S).rejected == {"uncertain": 2}
+
+
+@pytest.mark.parametrize("model", ["cuboid", "ellipsoid"])
+@pytest.mark.parametrize("limit", [0.5, 0.03, 7.0])
+def test_uncertain_is_measured_vertically_by_sigma(model: str, limit: float) -> None:
+    """Coverage does not count, and the limit itself is allowed: a point beyond it says nothing about a height."""
+    m = RoughMap(error_model=model, threads=1, coverage=3.0, max_vertical_sigma=limit)
+    square = limit * limit
+    S = np.array([np.diag([0.01, 0.01, z]) for z in (square, square * (1 + 1e-12), square * 4, 0.0)])
+    report = m.add(np.zeros((4, 3)), S)
+    assert (report.accepted, report.rejected) == (2, {"uncertain": 2})
+
+
+def test_a_point_over_both_limits_counts_once() -> None:
+    m = RoughMap(threads=1)
+    assert m.add(np.zeros((1, 3)), np.eye(3) * 9.0).rejected == {"uncertain": 1}
+
+
+def test_without_a_vertical_limit_any_height_goes() -> None:
+    m = RoughMap(threads=1, max_vertical_sigma=np.inf)
+    assert m.add(np.zeros((1, 3)), np.diag([0.01, 0.01, 1e6])).accepted == 1
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, np.nan])
+def test_a_vertical_limit_is_a_number_above_zero(limit: float) -> None:
+    with pytest.raises(ValueError, match="max_vertical_sigma: expected a number above 0, or infinity"):
+        RoughMap(max_vertical_sigma=limit)
 
 
 @pytest.mark.parametrize("model", ["cuboid", "ellipsoid"])

@@ -14,9 +14,9 @@ from roughmap_service.engine.newest_run import IdentityError
 from roughmap_service.engine.recovery import Recovered, recover
 from roughmap_service.journal.reader import LogError
 from roughmap_service.offline.replay import replay
-from roughmap_service.run.poses import MAX_TRANSFORMS
 from roughmap_service.run.run import RunError
 from roughmap_service.run.settings import Settings
+from roughmap_service.run.transforms import MAX_TRANSFORMS
 from roughmap_service.store.map_db import Store, StoreError
 
 
@@ -47,7 +47,7 @@ def test_from_the_log_alone(logs: Path) -> None:
     back = recover(config(), logs, None)
     assert (digest(back), back.run_id, back.index, back.epoch) == (run.run.map.digest(), run.run_id, 1, 2)
     assert (back.run.input, back.run.record) == (run.run.input, run.run.record)
-    assert back.run.poses["rover"].to_state() == run.run.poses["rover"].to_state()
+    assert back.run.robots["rover"].to_state() == run.run.robots["rover"].to_state()
     assert back.run.duplicates.to_state() == run.run.duplicates.to_state()
     assert replay([logs]).run.map.digest() == digest(back)
 
@@ -72,7 +72,7 @@ def test_from_the_log_of_a_version_whose_limits_on_poses_were_settings(
     back = recover(config(), logs, None)
     assert digest(back) == run.run.map.digest()
     assert replay([logs]).difference is None
-    assert back.run.poses["rover"].max_transforms == MAX_TRANSFORMS
+    assert back.run.robots["rover"].settings.max_transforms == MAX_TRANSFORMS
 
 
 def test_nothing_there_is_a_beginning(logs: Path, store: Store) -> None:
@@ -90,7 +90,7 @@ def test_from_the_store_and_what_the_log_has_behind_it(logs: Path, store: Store,
     back = recover(config(), logs, store)
     assert digest(back) == run.run.map.digest()
     assert back.run.map.sequence == run.run.map.sequence
-    assert back.run.poses["rover"].to_state() == run.run.poses["rover"].to_state()
+    assert back.run.robots["rover"].to_state() == run.run.robots["rover"].to_state()
     assert back.run.duplicates.to_state() == run.run.duplicates.to_state()
     assert back.cut is not None
     assert not back.was_reset
@@ -145,16 +145,16 @@ def test_a_file_in_which_nothing_stands_yet_goes_on_from_the_store(logs: Path, s
 def test_undecided_clouds_wait_again(logs: Path, store: Store, stored: bool) -> None:
     with LoggedRun(logs, store=store) as run:
         drive(run)
-        waiting = run.put(Kind.POINTS, cloud(3.05))
-        run.put(Kind.ODOMETRY, odometry(3.0, 0.9), "other")
+        waiting = run.put(Kind.POINTS, cloud(0.35))
+        run.put(Kind.ODOMETRY, odometry(0.3, 0.9), "other")
         if stored:
             run.snapshot()
         drive(run, 5, 0)
     back = recover(config(), logs, store if stored else None)
     assert sorted(back.run.clouds) == [waiting]
     with LoggedRun(logs, recovered=back) as again:
-        again.put(Kind.ODOMETRY, odometry(3.0, 0.9))
-        again.put(Kind.ODOMETRY, odometry(3.1, 0.9))
+        again.put(Kind.ODOMETRY, odometry(0.3, 0.9))
+        again.put(Kind.ODOMETRY, odometry(0.4, 0.9))
         (event,) = again.decide()
         again.checkpoint()
     assert (event.input, event.outcome, event.epoch) == (waiting, "integrated", 2)

@@ -11,10 +11,11 @@ from net import open_pair, wait_for
 
 from roughmap_client import QueryRefused
 from roughmap_client.session import ask
-from roughmap_schemas import Keys
+from roughmap_schemas import Config, Keys
 from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.queue import InputQueue
 from roughmap_service.inputs.receipts import ReceiptSender
+from roughmap_service.inputs.streams import Streams
 from roughmap_service.inputs.subscriptions import ZenohInputs
 
 LIMIT = 1000
@@ -56,7 +57,7 @@ def door() -> Iterator[Door]:
         counters, keys = Counters(), Keys("site")
         intake = InputQueue(LIMIT, counters)
         replies = stack.enter_context(ReceiptSender())
-        stack.enter_context(ZenohInputs(server, keys, intake, replies, 2 * LIMIT, counters))
+        stack.enter_context(ZenohInputs(server, keys, intake, replies, 2 * LIMIT, counters, Streams(Config())))
         # The queryables are declared last: where one is known, so is all the rest.
         known = threading.Event()
         querier = client.declare_querier("maps/site/ingest/a/transform")

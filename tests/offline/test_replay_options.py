@@ -28,10 +28,10 @@ def test_from_a_store(logs: Path, tmp_path: Path) -> None:
         drive(run, 0, 2)
         run.rotate()
         drive(run, 2, 1)
-        run.put(Kind.POINTS, cloud(3.05))
+        run.put(Kind.POINTS, cloud(0.35))
         run.snapshot()
-        run.put(Kind.ODOMETRY, odometry(3.0, 0.9))
-        run.put(Kind.ODOMETRY, odometry(3.1, 1.0))
+        run.put(Kind.ODOMETRY, odometry(0.3, 0.9))
+        run.put(Kind.ODOMETRY, odometry(0.4, 1.0))
         assert [event.outcome for event in run.decide()] == ["integrated"]
         run.rotate()
         drive(run, 5, 1)
@@ -58,7 +58,7 @@ def test_a_store_that_is_not_in_the_log_gives_another_map(logs: Path, tmp_path: 
         drive(run, 2, 1)
     with LoggedRun(tmp_path / "else") as other:
         drive(other, 0, 1)
-        other.scan(9.0, 3.0)
+        other.scan(1.0, 3.0)
     cut = store.read_cut()
     assert cut is not None
     assert other.run.map.digest() != cut_of_the_first_two
@@ -77,7 +77,7 @@ def test_a_replays_own_log_is_equal_and_keeps_each_files_settings(logs: Path, tm
         drive(run, 6, 1)
     other = config(sensors={"lidar": {"range_sigma": 0.05}}, log={"compression": "zstd"})
     with LoggedRun(logs, other, recovered=recover(other, logs, None)) as run:
-        drive(run, 10)
+        drive(run, 7)
     new = tmp_path / "new"
     first = replay(logs, "--log-out", new)
     assert first[0] == 0
@@ -113,7 +113,7 @@ def test_what_if(logs: Path, tmp_path: Path) -> None:
         with LoggedRun(directory, first) as run:
             drive(run)
         with LoggedRun(directory, second, recovered=recover(second, directory, None)) as run:
-            drive(run, 5)
+            drive(run, 3)
     store, new = tmp_path / "map.db", tmp_path / "new"
     code, told, _ = replay(logs, "--what-if", "map.cell_size=0.2", "--json", "-o", store, "--log-out", new)
     result = json.loads(told)

@@ -1,31 +1,26 @@
-"""A robot's poses: which are taken, how long they are kept, and which of them hold over a span of time."""
+"""A robot's poses by stamp: how long they are kept, and which of them hold over a span of time."""
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from service_tools import LEVEL, PRECISE
+from service_tools import LEVEL
 
-from roughmap_schemas import Odometry, PoseReason
-from roughmap_service.run.poses import STALE_ROW, PoseBuffer, too_far_apart, too_fast
+from roughmap_service.run.poses import Pose, PoseBuffer, leaps, too_far_apart
 
 HISTORY = 1000
 BEGIN = 10_000
 
 
-def buffer() -> PoseBuffer:
-    return PoseBuffer("map", HISTORY, jump_m=0.15, jump_rad=0.03)
-
-
-def pose(stamp: int, x: float = 0.0, frame: str = "map", *, fault: bool = False) -> Odometry:
-    return Odometry(stamp, frame, "base", (x, 0.0, 0.0), LEVEL, None if fault else PRECISE, fault)
+def pose(stamp: int, number: int = 1, x: float = 0.0, *, leapt: bool = False) -> Pose:
+    return Pose(stamp, (x, 0.0, 0.0), LEVEL, None, number, 0, leapt)
 
 
 def filled(*stamps: int) -> PoseBuffer:
-    """A buffer that was told poses of these stamps, numbered from 1."""
-    b = buffer()
+    """A buffer with poses of these stamps, numbered from 1."""
+    b = PoseBuffer(HISTORY)
     for number, stamp in enumerate(stamps, 1):
-        assert b.add(pose(stamp), number) == (None, False)
+        assert b.insert(pose(stamp, number)) is not None
+        b.trim()
     return b
 
 
@@ -38,52 +33,15 @@ def test_poses_that_come_out_of_order_lie_in_order() -> None:
     assert [(p.stamp_ns, p.input) for p in b.poses] == [(BEGIN, 1), (BEGIN + 10, 3), (BEGIN + 20, 2)]
 
 
+def test_an_insertion_returns_its_place() -> None:
+    b = filled(10, 30)
+    assert [b.insert(pose(stamp)) for stamp in (20, 40, 5)] == [1, 3, 0]
+
+
 def test_of_two_poses_of_one_stamp_the_first_wins() -> None:
-    b = buffer()
-    b.add(pose(BEGIN, 1.0), 1)
-    assert b.add(pose(BEGIN, 2.0), 2) == (PoseReason.DUPLICATE, False)
-    assert [(p.input, p.position[0]) for p in b.poses] == [(1, 1.0)]
-
-
-def test_a_pose_in_an_unknown_frame() -> None:
-    b = buffer()
-    assert b.add(pose(BEGIN, frame="odom"), 1) == (PoseReason.POSE_FRAME, False)
-    assert b.poses == []
-
-
-def test_a_pose_whose_covariance_is_none() -> None:
-    b = buffer()
-    assert b.add(pose(BEGIN, fault=True), 1) == (PoseReason.BAD_COVARIANCE, False)
-    assert b.poses == []
-
-
-@pytest.mark.parametrize(("age", "reason"), [(HISTORY, None), (HISTORY + 1, PoseReason.STALE)])
-def test_older_than_the_buffer_is_stale(age: int, reason: PoseReason | None) -> None:
     b = filled(BEGIN)
-    assert b.add(pose(BEGIN - age), 2) == (reason, False)
-
-
-def test_ten_stale_ones_that_rise_are_a_reset_clock() -> None:
-    b = filled(BEGIN, BEGIN + 1)
-    for n in range(STALE_ROW - 1):
-        assert b.add(pose(n), 10 + n) == (PoseReason.STALE, False)
-    assert b.add(pose(STALE_ROW), 30) == (None, True)
-    assert stamps(b) == [STALE_ROW]
-    assert b.add(pose(STALE_ROW - 1), 31) == (None, False), "the new clock's buffer has its own horizon"
-
-
-@pytest.mark.parametrize(
-    "between", [pose(BEGIN + 2), pose(BEGIN), pose(0)], ids=["a good one", "a duplicate", "one that does not rise"]
-)
-def test_the_row_of_stale_ones_begins_again(between: Odometry) -> None:
-    b = filled(BEGIN, BEGIN + 1)
-    for n in range(1, STALE_ROW):
-        assert b.add(pose(n), 10 + n)[0] is PoseReason.STALE
-    b.add(between, 50)
-    counted = 1 if between.stamp_ns == 0 else 0  # one that does not rise is itself the first of the next row
-    for n in range(STALE_ROW - 1 - counted):
-        assert b.add(pose(100 + n), 60 + n) == (PoseReason.STALE, False)
-    assert b.add(pose(200), 80) == (None, True)
+    assert b.insert(pose(BEGIN, 2, 2.0)) is None
+    assert [(p.input, p.position[0]) for p in b.poses] == [(1, 0.0)]
 
 
 def test_what_is_stale_is_forgotten_but_one_before_the_horizon() -> None:
@@ -97,18 +55,24 @@ def test_the_horizon_never_goes_back() -> None:
     """A shorter history, then a longer one, as over restarts: what was forgotten does not count as kept."""
     b = filled(BEGIN, BEGIN + 2000)
     b.history_ns = 5000
-    assert b.add(pose(BEGIN + 2001), 3) == (None, False)
+    b.insert(pose(BEGIN + 2001, 3))
+    b.trim()
     assert b.horizon_ns == BEGIN + 1000
-    assert b.add(pose(BEGIN + 999), 4)[0] is PoseReason.STALE
 
 
 def test_no_flood_of_poses_within_the_history() -> None:
-    b = buffer()
-    b.max_poses = 5
+    b = PoseBuffer(HISTORY, max_poses=5)
     for number in range(8):
-        assert b.add(pose(BEGIN + number), number + 1) == (None, False)
+        b.insert(pose(BEGIN + number, number + 1))
+        b.trim()
     assert stamps(b) == list(range(BEGIN + 3, BEGIN + 8))
-    assert b.add(pose(BEGIN + 2), 9)[0] is PoseReason.STALE, "what was dropped is not taken again"
+    assert b.horizon_ns == BEGIN + 3, "what was dropped does not count as kept"
+
+
+def test_cleared_it_begins_again_at_any_time() -> None:
+    b = filled(BEGIN, BEGIN + 2000)
+    b.clear()
+    assert (stamps(b), b.horizon_ns) == ([], 0)
 
 
 @pytest.mark.parametrize(
@@ -133,7 +97,7 @@ def test_a_span_and_the_poses_around_it(first: int, last: int, covered: bool, wi
 
 
 def test_an_empty_buffer_covers_nothing() -> None:
-    assert not buffer().covers(0, 0)
+    assert not PoseBuffer(HISTORY).covers(0, 0)
 
 
 def test_poses_by_name() -> None:
@@ -145,41 +109,33 @@ def test_poses_by_name() -> None:
             b.named([(1, 0), unknown])
 
 
-def test_gaps_and_speeds_at_their_limits() -> None:
-    b = buffer()
-    b.add(pose(BEGIN, 0.0), 1)
-    b.add(pose(BEGIN + 100, 3e-6), 2)
-    assert not too_far_apart(b.poses, 100.0)
-    assert too_far_apart(b.poses, 99.0)
-    assert not too_far_apart(b.poses, float("inf"))
-    assert not too_fast(b.poses, max_speed=31.0, max_turn=0.0), "3 micrometres in 100 ns are 30 m/s"
-    assert too_fast(b.poses, max_speed=29.0, max_turn=0.0)
+def test_gaps_at_their_limits() -> None:
+    row = [pose(BEGIN), pose(BEGIN + 100)]
+    assert not too_far_apart(row, 100.0)
+    assert too_far_apart(row, 99.0)
+    assert not too_far_apart(row, float("inf"))
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_turns_go_the_shorter_way(sign: float) -> None:
-    """A quaternion and its negative are one rotation; 0.1 rad in 0.1 s is 1 rad/s."""
-    b = buffer()
-    turned = tuple(sign * v for v in (0.0, 0.0, np.sin(0.05), np.cos(0.05)))
-    b.add(pose(BEGIN), 1)
-    b.add(Odometry(BEGIN + 10**8, "map", "base", (0.0, 0.0, 0.0), turned, None), 2)  # type: ignore[arg-type]
-    assert too_fast(b.poses, 1.0, 0.999)
-    assert not too_fast(b.poses, 1.0, 1.001)
+@pytest.mark.parametrize(
+    ("leapt", "said"),
+    [([False] * 3, False), ([True, False, False], False), ([False, True, False], True), ([False, False, True], True)],
+)
+def test_a_leap_to_the_first_pose_is_outside_of_the_row(leapt: list[bool], said: bool) -> None:
+    assert leaps([pose(BEGIN + k, leapt=one) for k, one in enumerate(leapt)]) is said
 
 
-@given(st.lists(st.tuples(st.integers(0, 5000), st.booleans()), max_size=60))
-def test_any_row_of_stamps(row: list[tuple[int, bool]]) -> None:
-    """Whatever comes: poses rise, no two of one stamp, at most one before the horizon, and counts add up."""
-    b = buffer()
-    for number, (stamp, fault) in enumerate(row, 1):
+@given(st.lists(st.integers(0, 5000), max_size=60))
+def test_any_row_of_stamps(row: list[int]) -> None:
+    """Whatever comes: poses rise, no two of one stamp, at most one before the horizon, which never goes back."""
+    b = PoseBuffer(HISTORY, max_poses=7)
+    horizon = 0
+    for number, stamp in enumerate(row, 1):
         before = stamps(b)
-        reason, was_reset = b.add(pose(stamp, fault=fault), number)
+        assert (b.insert(pose(stamp, number)) is None) == (stamp in before)
+        b.trim()
         after = stamps(b)
         assert after == sorted(set(after))
+        assert len(after) <= 7
         assert sum(s < b.horizon_ns for s in after) <= 1
-        assert (reason is None) == (number in [p.input for p in b.poses])
-        if reason is not None:
-            assert after == before
-            assert not was_reset
-        if was_reset:
-            assert after == [stamp]
+        assert b.horizon_ns >= horizon
+        horizon = b.horizon_ns

@@ -13,16 +13,19 @@ from roughmap_schemas import (
     IntegrationEvent,
     Odometry,
     ResetEvent,
+    TimeForm,
     encode_cloud,
 )
 from roughmap_schemas.kinds import Kind
+from roughmap_schemas.point_times import BAD_OFFSET, TimeField
 from roughmap_service.run.decoding import decode
 from roughmap_service.run.inbox import Proposal
 from roughmap_service.run.placing import span
-from roughmap_service.run.run import Run, RunError, Taken
+from roughmap_service.run.run import Run, RunError
 from roughmap_service.run.settings import Settings, new_map
 
-BAD = -1
+BAD = 2**32 - 1
+"""No time of a point, in ns."""
 
 
 def state(settings: Config | None = None) -> Run:
@@ -31,12 +34,15 @@ def state(settings: Config | None = None) -> Run:
     s = Run(Settings(values), new_map(values), epoch=1)
     for number, t in enumerate((0, SECOND // 10), 1):
         pose = Odometry(T0 + t, "map", "base", (0.0, 0.0, 1.0), LEVEL, PRECISE)
-        assert s.take("rover", pose, ("rover", "odometry", str(t))) == Taken(number)
+        taken = s.take("rover", pose, ("rover", "odometry", str(t)), T0)
+        assert taken.input == number
     return s
 
 
 def integrate(s: Run, cloud: Cloud, **values: object) -> IntegrationEvent:
     """The cloud as input 3, placed with both poses unless ``values`` of the event say otherwise."""
+    if cloud.time_fields:
+        s.times.forms["rover", cloud.frame_id] = TimeForm("t", "ns", "start")
     s.keep(3, "rover", cloud)
     given = {
         "epoch": 0, "input": 3, "robot": "rover", "poses": [(1, 0), (2, 0)], "outcome": "integrated", "accepted": 0,
@@ -49,8 +55,8 @@ def integrate(s: Run, cloud: Cloud, **values: object) -> IntegrationEvent:
 
 
 def scan(points: np.ndarray = GROUND, offsets: list[int] | None = None, frame: str = "lidar") -> Cloud:
-    times = None if offsets is None else np.array(offsets, np.int64)
-    return Cloud(frame, T0 + SECOND // 20, points, times)
+    times = () if offsets is None else (TimeField("t", np.array(offsets, np.uint32)),)
+    return Cloud(frame, T0 + SECOND // 20, points, time_fields=times)
 
 
 def test_an_integration_says_what_it_did() -> None:
@@ -144,7 +150,9 @@ def test_stamps_at_the_end_of_time() -> None:
     """Whole seconds of a point's time fit 32 bits, or it is off."""
     s = state()
     end = (1 << 32) * SECOND - 1
-    event = integrate(s, Cloud("map", end, GROUND, np.array([0, 1, 0, SECOND])), poses=[])
+    event = integrate(
+        s, Cloud("map", end, GROUND, time_fields=(TimeField("t", np.array([0, 1, 0, SECOND], np.uint32)),)), poses=[]
+    )
     assert (event.accepted, event.rejected) == (2, {"time": 2})
 
 
@@ -205,7 +213,7 @@ def test_checkpoint_and_reset() -> None:
     )
     assert s.follow(ResetEvent(epoch=0, sequence=0)) == ResetEvent(epoch=2, sequence=2)
     assert s.map.digest() == RoughMap().digest()
-    assert s.buffer("rover").poses, "what is known of the robots stays"
+    assert s.robot("rover").buffer.poses, "what is known of the robots stays"
     assert integrate(s, scan()).sequence == 3
     assert s.map.digest() == digest
 
@@ -213,8 +221,9 @@ def test_checkpoint_and_reset() -> None:
 def test_other_settings_hold_from_then_on() -> None:
     s = state()
     s.use(Settings(config(input={"pose_history": 0.05, "pose_sigma": [1, 1, 1, 1, 1, 1]})))
-    assert [(b.history_ns, b.jump_m, b.jump_rad) for b in s.poses.values()] == [(SECOND // 20, 3.0, 3.0)]
-    assert s.buffer("new").history_ns == SECOND // 20
+    for robot in (s.robots["rover"], s.robot("new")):
+        assert robot.buffer.history_ns == SECOND // 20
+        assert (robot.settings.jump_m, robot.settings.jump_rad) == (3.0, 3.0)
 
 
 @pytest.mark.parametrize(
@@ -223,10 +232,10 @@ def test_other_settings_hold_from_then_on() -> None:
         (None, (0, 0)),
         ([], (0, 0)),
         ([5, 3, 9], (3, 9)),
-        ([BAD, 3, 9], (3, 9)),
+        ([BAD_OFFSET, 3, 9], (3, 9)),
         ([0, SECOND], (0, SECOND)),
         ([0, SECOND + 1], (0, 0)),
-        ([BAD, BAD], (0, 0)),
+        ([BAD_OFFSET, BAD_OFFSET], (0, 0)),
     ],
 )
 def test_the_span_of_a_cloud(offsets: list[int] | None, expected: tuple[int, int]) -> None:

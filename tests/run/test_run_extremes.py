@@ -13,6 +13,7 @@ from roughmap_schemas import (
     Config,
     IntegrationEvent,
     MessageFault,
+    SensorTimeEvent,
     encode_cloud,
     encode_event,
     encode_odometry,
@@ -93,12 +94,15 @@ class Feed:
             content = decode(kind, payload, self.run.settings)
         except MessageFault:
             return None
-        self.run.take("rover", content, Duplicates.identity("rover", kind, payload), Arrival(0.0))
+        self.run.take("rover", content, Duplicates.identity("rover", kind, payload), 0, Arrival(0.0))
         return content
 
     def decide(self, now: float = 0.0) -> list[IntegrationEvent]:
         """All that is due; each event as its bytes can be written."""
         done = []
+        for event in self.run.find_times(now):
+            if isinstance(event, SensorTimeEvent):
+                encode_event(self.run.read_times(event))
         while (proposal := self.run.decide(now)) is not None:
             done.append(self.run.place(proposal)())
             encode_event(done[-1])
@@ -109,7 +113,7 @@ class Feed:
 @pytest.mark.parametrize("model", MODELS)
 def test_nothing_that_can_be_read_can_fail(model: str, patient: bool) -> None:
     """Patient: with limits so wide that clouds are placed along the wildest of ways."""
-    wide = {"max_speed": 1.7e308, "max_turn": 1.7e308, "max_pose_gap": 1.7e308, "pose_history": 1.7e308}
+    wide = {"max_speed": 1.7e308, "max_leap": 1.7e308, "max_pose_gap": 1.7e308, "pose_history": 1.7e308}
     values = config(map={"error_model": model}, input=wide if patient else {})
     outcomes: Counter[str] = Counter()
     for seed in range(150):
@@ -139,19 +143,15 @@ def test_any_sigma_that_the_configuration_takes(sigma: float) -> None:
 
 def test_points_beyond_the_end_of_time_are_waited_for_by_nobody() -> None:
     """No pose can be as late as they would be; the map counts them as `time`."""
-    feed = Feed(config())
+    told = {"time_field": "t", "time_unit": "ns", "time_origin": "start"}
+    feed = Feed(config(sensors={"lidar": {"range_sigma": 0.01, **told}}))
     feed.take(Kind.ODOMETRY, encode_odometry(END - 10, "map", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
     feed.take(Kind.ODOMETRY, encode_odometry(END - 1, "map", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
-    times = np.array([0, 4, 5, 6, SECOND])
-    cloud = feed.take(Kind.POINTS, encode_cloud(np.ones((5, 3)), END - 5, "lidar", times))
-    assert isinstance(cloud, Cloud)
-    assert span(cloud) == (END - 5, END - 1)
+    feed.take(Kind.POINTS, encode_cloud(np.ones((5, 3)), END - 5, "lidar", np.array([0, 4, 5, 6, SECOND])))
     (event,) = feed.decide()
     assert (event.outcome, event.accepted, event.rejected) == ("integrated", 2, {"time": 3})
 
 
 def test_a_cloud_with_no_time_left_has_its_stamp() -> None:
-    feed = Feed(config())
-    cloud = feed.take(Kind.POINTS, encode_cloud(np.ones((2, 3)), END - 1, "lidar", np.array([1, SECOND])))
-    assert isinstance(cloud, Cloud)
+    cloud = Cloud("lidar", END - 1, np.ones((2, 3)), np.array([1, SECOND]))
     assert span(cloud) == (END - 1, END - 1)

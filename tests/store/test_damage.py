@@ -53,6 +53,7 @@ def flip(path: Path, at: float) -> None:
 def goes_on(logs: Path, back: Recovered) -> None:
     """The run is taken up again, and what is there is a whole log."""
     with LoggedRun(logs, recovered=back) as run:
+        run.skip_to(50.0)
         run.scan(50.0)
         run.checkpoint()
     assert replay([logs]).difference is None
@@ -225,6 +226,7 @@ def test_a_damage_before_the_cut_in_the_cut_s_file(logs: Path, store: Store, who
     kept = f"{files[1].name}.{'torn' if whole else 'behind'}"
     assert logs.joinpath(kept).exists()
     with LoggedRun(logs, recovered=back, store=store) as run:
+        run.skip_to(50.0)
         run.scan(50.0)
         run.snapshot()
         after = run.run.map.digest()

@@ -1,6 +1,7 @@
 """The live run: messages are logged before they are applied, and events before readers can see their effect."""
 
 import logging
+import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -8,28 +9,30 @@ from dataclasses import replace
 
 from roughmap import RoughMap
 from roughmap_schemas import (
+    Cloud,
     CloudReason,
     Event,
     IntegrationEvent,
     MessageFault,
     Odometry,
-    PoseReason,
     Receipt,
     Refusal,
     ResetEvent,
-    Transform,
+    SensorTimeEvent,
     encode_event,
 )
+from roughmap_service.engine.figures import LostCloud
+from roughmap_service.engine.notices import Notices
 from roughmap_service.host.counters import Counters
-from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.admission import admit, refuse
 from roughmap_service.inputs.queue import InputMessage
+from roughmap_service.inputs.streams import Streams
 from roughmap_service.journal.items import Sync
 from roughmap_service.journal.recorder import Recorder
 from roughmap_service.journal.writer import LogWriter
-from roughmap_service.run.decoding import Content
 from roughmap_service.run.inbox import Arrival, Proposal
-from roughmap_service.run.run import Run, Taken
+from roughmap_service.run.odometry_clock import Verdict
+from roughmap_service.run.run import Run
 from roughmap_service.run.view import View
 from roughmap_service.store.memory_limit import MemoryLimit
 
@@ -47,6 +50,7 @@ class LiveRun:
         recorder: Recorder,
         counters: Counters,
         memory: MemoryLimit,
+        streams: Streams,
         publish_event: Callable[[bytes], None],
     ) -> None:
         self.run = run
@@ -55,8 +59,10 @@ class LiveRun:
         self._recorder = recorder
         self._counters = counters
         self._memory = memory
+        self._streams = streams
         self._publish_event = publish_event
-        self._robots = set(run.poses)
+        self._robots = set(run.robots)
+        self._notices = Notices(counters, streams, run.robots, self._robots)
         self._checkpoint_sequence = 0
 
     def accept(self, message: InputMessage, now: float) -> int | None:
@@ -78,19 +84,21 @@ class LiveRun:
             self.refuse(message, fault)
             return None
         if isinstance(content, Odometry):
-            self._decide_before(message.robot, content.stamp_ns, now)
-        self._recorder.input(
+            self._decide_before(message.robot, content, now)
+        logged_ns = self._recorder.input(
             message.kind, message.robot, message.payload, message.received_ns, content.stamp_ns, run.input + 1
         )
         arrival = Arrival(message.arrival, promised=message.reply is not None)
-        taken = run.take(message.robot, content, message.identity, arrival)
-        self._notice(message.robot, content, taken)
+        taken = run.take(message.robot, content, message.identity, logged_ns, arrival)
+        self._notices.message(message.robot, content, taken)
+        if isinstance(content, Cloud):
+            self._notices.sensor(message.robot, content.frame_id, run.settings.config)
         self._acknowledge(message, taken.input, duplicate=False)
         return taken.input
 
     def refuse(self, message: InputMessage, fault: MessageFault) -> None:
         """Count a message that is not logged, and answer it if it was ingested."""
-        refuse(self._counters, message.robot, fault)
+        refuse(self._counters, self._streams, message.robot, message.kind, fault, message.payload)
         if message.reply is not None:
             message.reply.refuse(fault)
 
@@ -108,6 +116,7 @@ class LiveRun:
         """
         if not self._writer.wait_room(0.0):
             return None
+        self._find_times(now)
         proposal = self.run.decide(now)
         if proposal is None:
             return None
@@ -118,6 +127,10 @@ class LiveRun:
         rejected = {str(reason): n for reason, n in event.rejected.items()}
         came = None if arrival.resumed else arrival.at
         self._counters.cloud(str(event.outcome), event.accepted, rejected, came, seconds)
+        cloud, robot = proposal.cloud, self.run.robots.get(event.robot)
+        lost = LostCloud(cloud, event, robot, self.run.settings, self.run.map, now - arrival.at)
+        frame_id = cloud.cloud.frame_id
+        self._streams.cloud(event.robot, frame_id, str(event.outcome), event.accepted, rejected, lost.figures)
         self._publish_event(encode_event(event))
         return event
 
@@ -149,16 +162,28 @@ class LiveRun:
         if publish:
             self._publish_event(encode_event(event))
 
-    def _decide_before(self, robot: str, stamp_ns: int, now: float) -> None:
-        """Decide clouds that have their poses but would become late by a pose of this stamp.
+    def _decide_before(self, robot: str, odometry: Odometry, now: float) -> None:
+        """Decide clouds that have their poses but would lose them by this pose.
 
         So a recording can be played faster than it was made. Call this before the pose is logged: a replay forgets old
         poses at the same place.
         """
-        horizon = stamp_ns - self.run.settings.history_ns
+        verdict = self.run.robot(robot).judge(odometry.stamp_ns)
+        if verdict in (Verdict.HOLD, Verdict.REPEAT):
+            return
+        horizon = math.inf if verdict.begins_anew else odometry.stamp_ns - self.run.settings.history_ns
         while self.run.inbox.holds_before(robot, horizon):
             if self.decide(now) is None:
                 return
+
+    def _find_times(self, now: float) -> None:
+        """Log how the times of waiting clouds are read, once it is known."""
+        for found in self.run.find_times(now):
+            if isinstance(found, SensorTimeEvent):
+                self._log(found)
+                self.run.read_times(found)
+                self._publish_event(encode_event(found))
+            self._notices.times(found, self.run.settings.config)
 
     def _integrate(self, proposal: Proposal) -> IntegrationEvent:
         """Apply a proposal and log the event.
@@ -181,26 +206,6 @@ class LiveRun:
     def _log(self, event: Event) -> None:
         self.run.record += 1
         self._recorder.event(event, time.time_ns())
-
-    def _notice(self, robot: str, content: Content, taken: Taken) -> None:
-        """Count an accepted or rejected pose, and log what an operator should see."""
-        if robot not in self._robots:
-            self._robots.add(robot)
-            note(logger, logging.INFO, "robot", f"robot {robot}: first message", robot=robot)
-        if isinstance(content, Odometry):
-            self._counters.pose(taken.rejected)
-        elif taken.rejected is not None:
-            self._counters.pose(PoseReason.POSE_FRAME)
-        if taken.clock_reset:
-            text = f"robot {robot}: its clock was set back; its pose buffer was cleared"
-            note(logger, logging.WARNING, "clock_reset", text, robot=robot)
-        if taken.jumped and isinstance(content, Transform):
-            self._counters.jump(robot)
-            text = (
-                f"robot {robot}: its transform {content.parent_frame_id} -> {content.child_frame_id} jumped; "
-                "ground that is already mapped does not move"
-            )
-            note(logger, logging.WARNING, "jump", text, robot=robot, child_frame_id=content.child_frame_id)
 
     def _acknowledge(self, message: InputMessage, number: int, *, duplicate: bool) -> None:
         """Answer an ingested message once it is on disk."""

@@ -16,6 +16,7 @@ from roughmap_service.inputs.admission import refuse
 from roughmap_service.inputs.gaps import Gaps
 from roughmap_service.inputs.queue import InputMessage, InputQueue
 from roughmap_service.inputs.receipts import IngestReply, ReceiptSender
+from roughmap_service.inputs.streams import Streams
 
 logger = logging.getLogger(__name__)
 
@@ -38,12 +39,14 @@ class ZenohInputs:
         receipts: ReceiptSender,
         max_message: int,
         counters: Counters,
+        streams: Streams,
     ) -> None:
         self._keys = keys
         self._queue = queue
         self._receipts = receipts
         self._max_message = max_message
         self._counters = counters
+        self._streams = streams
         self._gaps = Gaps()
         self._undeclare: list[Callable[[], object]] = []
         for kind, key, parse in (
@@ -76,7 +79,7 @@ class ZenohInputs:
                 self._count_lost(robot, kind, sample)
                 self._check(kind, str(sample.encoding), sample.payload)
             except MessageFault as fault:
-                refuse(self._counters, robot, fault)
+                refuse(self._counters, self._streams, robot, kind, fault)
                 return
             payload = sample.payload.to_bytes()
             self._queue.put(InputMessage(kind, robot, payload, time.time_ns(), time.monotonic()))
@@ -84,7 +87,7 @@ class ZenohInputs:
         return handle
 
     def _answer(self, query: zenoh.Query) -> None:
-        reply, robot = IngestReply(query, self._receipts), OTHERS
+        reply, robot, kind = IngestReply(query, self._receipts), OTHERS, Kind.POINTS
         try:
             name, robot = self._keys.parse_ingest(str(query.key_expr))
             kind, payload = Kind(name), query.payload
@@ -97,7 +100,7 @@ class ZenohInputs:
                     Refusal.TOO_LARGE, f"attachment: expected at most {MAX_ATTACHMENT} bytes; found {found}"
                 )
         except MessageFault as fault:
-            refuse(self._counters, robot, fault)
+            refuse(self._counters, self._streams, robot, kind, fault)
             reply.refuse(fault)
             return
         self._queue.put(InputMessage(kind, robot, payload.to_bytes(), time.time_ns(), time.monotonic(), reply))

@@ -8,21 +8,29 @@ from roughmap_service.journal.writer import LogWriter
 
 
 class Recorder:
-    """Queues inputs and events to a `LogWriter`; never blocks and never fails, as `LogWriter.put`."""
+    """Queues inputs and events to a `LogWriter`; never blocks and never fails, as `LogWriter.put`.
+
+    ``last_ns`` is the log time of the run's last message. Log times are wall times, raised where needed, so that they
+    rise whatever the clock does.
+    """
 
     def __init__(self, writer: LogWriter, keys: Keys) -> None:
         self._writer = writer
         self._keys = keys
+        self.last_ns = writer.begun_ns
 
-    def input(self, kind: Kind, robot: str, payload: bytes, received_ns: int, stamp_ns: int, number: int) -> None:
-        """Log the input ``number`` (from 1 over the run), a message of ``robot``."""
+    def input(self, kind: Kind, robot: str, payload: bytes, received_ns: int, stamp_ns: int, number: int) -> int:
+        """Log the input ``number`` (from 1 over the run), a message of ``robot``. Return its log time."""
         topic = input_topic(kind, robot, self._keys)
-        self._writer.put(LogRecord(kind, topic, payload, received_ns, stamp_ns, number))
+        self.last_ns = max(received_ns, self.last_ns + 1)
+        self._writer.put(LogRecord(kind, topic, payload, self.last_ns, stamp_ns, number))
+        return self.last_ns
 
     def event(self, event: Event, now_ns: int) -> None:
         """Log an event."""
+        self.last_ns = max(now_ns, self.last_ns + 1)
         record = LogRecord(
-            Kind.EVENTS, self._keys.events, encode_event(event), now_ns, now_ns,
+            Kind.EVENTS, self._keys.events, encode_event(event), self.last_ns, now_ns,
             epoch=event.epoch, sequence=event.sequence,
         )  # fmt: skip
         self._writer.put(record)

@@ -35,9 +35,9 @@ class LogWriter:
     is kept in memory until it is on the disk, so that a file that failed can be left and the next one can begin with
     what the failed one lacks.
 
-    ``last_ns`` is the log time of the run's last message so far: log times rise, whatever the clock does between two
-    starts. ``synced`` is called with the seconds that each fsync took. ``queue_limit`` and ``max_file_bytes`` are in
-    bytes, ``flush_interval`` and ``max_file_age`` in seconds.
+    ``last_ns``, kept as ``begun_ns``, is the log time of the run's last message so far: log times rise, whatever the
+    clock does between two starts. ``synced`` is called with the seconds that each fsync took. ``queue_limit`` and
+    ``max_file_bytes`` are in bytes, ``flush_interval`` and ``max_file_age`` in seconds.
     """
 
     def __init__(
@@ -58,6 +58,7 @@ class LogWriter:
         self._max_file_bytes = max_file_bytes
         self._max_file_age = max_file_age
         self._on_sync = synced
+        self.begun_ns = last_ns
         self._queue = LogQueue(queue_limit)
         self._files = FileSequence(directory, metadata, compression=compression, open_file=open_file, last_ns=last_ns)
         self._todo: deque[Item] = deque()  # taken from the queue and not yet written

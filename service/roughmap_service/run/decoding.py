@@ -4,7 +4,6 @@ from roughmap_schemas import (
     Cloud,
     Odometry,
     Transform,
-    contract_timed,
     decode_cloud,
     decode_odometry,
     decode_transform,
@@ -19,10 +18,9 @@ def decode(kind: Kind, payload: bytes, settings: Settings) -> Content:
     """Decode a cloud, an odometry or a transform. MessageFault if the bytes are not one, or it is too large."""
     inputs = settings.config.input
     if kind is Kind.POINTS:
-        cloud = decode_cloud(
+        return decode_cloud(
             payload, max_message=inputs.max_message, max_points=inputs.max_points, map_frame=settings.frame_id
         )
-        return contract_timed(cloud)
     if kind is Kind.ODOMETRY:
         return decode_odometry(payload, max_message=inputs.max_message)
     return decode_transform(payload, max_message=inputs.max_message)

@@ -42,6 +42,11 @@ class Duplicates:
             max(self._seen.values(), key=len).popitem(last=False)
             self._number -= 1
 
+    def clear(self) -> None:
+        """Forget all messages."""
+        self._seen.clear()
+        self._number = 0
+
     def to_state(self) -> list[tuple[str, str, str, int]]:
         """Return all messages, oldest first."""
         seen = [(*identity, number) for of in self._seen.values() for identity, number in of.items()]

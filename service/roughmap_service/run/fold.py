@@ -28,7 +28,7 @@ def fold(run: Run, items: Iterable[LogItem], *, taken: int = 0, low_water: int =
     """
     for item in items:
         if isinstance(item, FileStart):
-            run.use(Settings.of_log(item.config, item.metadata.configuration))
+            run.use(Settings.of_log(item.config, item.metadata.configuration, item.metadata.rules))
             if item.metadata.first_record > taken:
                 run.epoch = item.metadata.epoch
             yield Step(item)
@@ -41,7 +41,7 @@ def fold(run: Run, items: Iterable[LogItem], *, taken: int = 0, low_water: int =
                 continue
             content = _decode(item, run.settings)
             run.input, run.record = item.number - 1, item.record - 1
-            run.take(item.robot, content, Duplicates.identity(item.robot, item.kind, item.payload))
+            run.take(item.robot, content, Duplicates.identity(item.robot, item.kind, item.payload), item.received_ns)
             yield Step(item)
         elif item.record <= taken:
             if isinstance(item.event, IntegrationEvent):

@@ -1,17 +1,21 @@
-"""Which cloud is decided next, and how: a state machine over clouds, poses and the times given to it."""
+"""Which cloud is decided next, and how: a state machine over clouds, robots and the times given to it."""
 
-import math
-from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 from roughmap_schemas import Cloud, CloudReason
 from roughmap_service.run.placing import span
-from roughmap_service.run.poses import PoseBuffer, too_far_apart, too_fast
+from roughmap_service.run.poses import Pose, leaps, too_far_apart
+from roughmap_service.run.robot import Robot
+from roughmap_service.run.sensor_clock import Doubt
 from roughmap_service.run.settings import Settings
 
 INTEGRATED = "integrated"
+
+TIME_BYTES = 8
+"""Of a point's own time, once it is read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +33,10 @@ class Arrival:
 
 @dataclass(frozen=True, slots=True)
 class LoggedCloud:
-    """A logged cloud without a decision: its input number, the time span of its points in ns, its size in bytes."""
+    """A logged cloud without a decision: its input number, the time span of its points in ns, its size in bytes.
+
+    Until it is ``timed``, the form of its points' times is not known, and its span is its stamp.
+    """
 
     input: int
     robot: str
@@ -38,11 +45,25 @@ class LoggedCloud:
     last_ns: int
     size: int
     arrival: Arrival
+    timed: bool
+
+    @property
+    def sensor(self) -> tuple[str, str]:
+        """Its robot and frame."""
+        return self.robot, self.cloud.frame_id
 
     @classmethod
-    def of(cls, number: int, robot: str, cloud: Cloud, arrival: Arrival) -> Self:
-        """Return the cloud of a message."""
-        return cls(number, robot, cloud, *span(cloud), cloud.held_bytes, arrival)
+    def of(cls, number: int, robot: str, cloud: Cloud, timed: Cloud | None, arrival: Arrival) -> Self:
+        """Return the cloud of a message; ``timed``: the same with its points' times, if their form is known."""
+        size = cloud.held_bytes + (TIME_BYTES * len(cloud.points) if cloud.time_fields else 0)
+        if timed is None:
+            return cls(number, robot, cloud, cloud.stamp_ns, cloud.stamp_ns, size, arrival, timed=False)
+        return cls(number, robot, timed, *span(timed), size, arrival, timed=True)
+
+    def with_times(self, timed: Cloud) -> Self:
+        """Return the cloud with its points' times."""
+        first_ns, last_ns = span(timed)
+        return replace(self, cloud=timed, first_ns=first_ns, last_ns=last_ns, timed=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +100,8 @@ class Row:
 
 
 @dataclass(slots=True)
-class RobotQueue:
-    """One robot's clouds, published and promised ones in separate rows.
+class SensorQueue:
+    """One sensor's clouds, published and promised ones in separate rows.
 
     Thousands may wait, and each message needs the first and the earliest, so both are kept. Only the first of a row
     ever leaves: it is decided or, if published, rejected for lack of room.
@@ -99,6 +120,20 @@ class RobotQueue:
         """Remove a cloud, the first of its row."""
         (self.promised if cloud.arrival.promised else self.published).popleft()
         self.size -= cloud.size
+
+    def replace(self, change: Callable[[LoggedCloud], LoggedCloud]) -> None:
+        """Put other clouds in the place of these, of the same sizes."""
+        for row in self._rows():
+            clouds = [change(cloud) for cloud in row.clouds]
+            row.clouds.clear()
+            row.rising.clear()
+            for cloud in clouds:
+                row.append(cloud)
+
+    def untimed(self) -> list[LoggedCloud]:
+        """The clouds whose times can't be read yet, in order of arrival."""
+        clouds = [cloud for row in self._rows() for cloud in row.clouds if not cloud.timed]
+        return sorted(clouds, key=lambda cloud: cloud.input)
 
     def __len__(self) -> int:
         return len(self.published.clouds) + len(self.promised.clouds)
@@ -119,15 +154,16 @@ class RobotQueue:
 
 @dataclass
 class Inbox:
-    """Each robot's clouds in order of arrival; robots don't wait for each other.
+    """Each sensor's clouds in order of arrival; sensors don't wait for each other.
 
-    ``poses`` are the robots' pose buffers; the run fills them. Stamps are never compared with wall time: the only clock
-    is the monotonic time of arrivals and of `tick`.
+    ``robots`` and ``doubts`` are the run's. Stamps are never compared with wall time: the only clock is the monotonic
+    time of arrivals and of `tick`.
     """
 
     settings: Settings
-    poses: Mapping[str, PoseBuffer]
-    queues: dict[str, RobotQueue] = field(default_factory=dict)
+    robots: Mapping[str, Robot]
+    doubts: Mapping[int, Doubt]
+    queues: dict[tuple[str, str], SensorQueue] = field(default_factory=dict)
     ended: deque[Proposal] = field(default_factory=deque)
     size: int = 0
 
@@ -140,7 +176,7 @@ class Inbox:
 
     def feed(self, cloud: LoggedCloud) -> None:
         """Add a logged cloud. Past the limit, reject the oldest published cloud of the robot with most bytes."""
-        self.queues.setdefault(cloud.robot, RobotQueue()).append(cloud)
+        self.queues.setdefault(cloud.sensor, SensorQueue()).append(cloud)
         self.size += cloud.size
         while self.size > self.settings.queue_limit and self.size > cloud.size:
             victim = self._victim()
@@ -148,26 +184,21 @@ class Inbox:
                 return
             self._end(victim, CloudReason.OVERLOAD)
 
-    def clock_reset(self, robot: str) -> None:
-        """Reject the robot's clouds: its clock was set back, and no more poses of the old clock will arrive."""
-        while robot in self.queues:
-            self._end(self.queues[robot].first, CloudReason.CLOCK_RESET)
-
-    def holds_before(self, robot: str, stamp_ns: int) -> bool:
+    def holds_before(self, robot: str, stamp_ns: float) -> bool:
         """Return whether a waiting cloud of the robot has a point before that time."""
-        return robot in self.queues and self.queues[robot].earliest_ns < stamp_ns
+        return any(of == robot and queue.earliest_ns < stamp_ns for (of, _), queue in self.queues.items())
 
     def tick(self, now: float) -> Proposal | None:
         """Return the next decision at monotonic time ``now`` (s), or None.
 
-        Robots take turns, so that a flood from one does not hold up the others.
+        Sensors take turns, so that a flood from one does not hold up the others.
         """
         if self.ended:
             return self.ended.popleft()
-        for robot, queue in self.queues.items():
+        for sensor, queue in self.queues.items():
             proposal = self._judge(queue.first, now)
             if proposal is not None:
-                self.queues[robot] = self.queues.pop(robot)  # to the end of the line
+                self.queues[sensor] = self.queues.pop(sensor)  # to the end of the line
                 self._remove(proposal.cloud)
                 return proposal
         return None
@@ -180,36 +211,63 @@ class Inbox:
             return None
         return min(queue.first.arrival.at for queue in self.queues.values()) + self.settings.max_wait
 
+    def untimed(self, now: float) -> list[tuple[list[LoggedCloud], bool]]:
+        """Return the clouds of each sensor whose first one has times that can't be read yet, and whether it is due."""
+        waiting = [queue for queue in self.queues.values() if not queue.first.timed]
+        return [(queue.untimed(), now >= queue.first.arrival.at + self.settings.max_wait) for queue in waiting]
+
     def _judge(self, cloud: LoggedCloud, now: float) -> Proposal | None:
         if cloud.cloud.frame_id == self.settings.frame_id:
             return Proposal(cloud, INTEGRATED)
-        buffer = self.poses.get(cloud.robot)
-        if buffer is not None:
-            if cloud.first_ns < buffer.horizon_ns:
-                return Proposal(cloud, CloudReason.LATE)
+        due = now >= cloud.arrival.at + self.settings.max_wait  # the same sum as in deadline(), to the bit
+        doubt, robot = self.doubts.get(cloud.input), self.robots.get(cloud.robot)
+        if doubt is not None and doubt.reason is not None:
+            return Proposal(cloud, doubt.reason)
+        if robot is None:
+            return Proposal(cloud, CloudReason.NO_POSE) if due else None
+        if not cloud.timed:
+            return Proposal(cloud, CloudReason.TIME_FORM) if due else None
+        clock, buffer = robot.clock, robot.buffer
+        if cloud.input < clock.begun:
+            return Proposal(cloud, CloudReason.CLOCK_RESET)
+        if cloud.first_ns < buffer.horizon_ns and not clock.anew_from:
+            return Proposal(cloud, CloudReason.LATE)
+        if not clock.doubts(cloud.input, cloud.last_ns):
+            if doubt is not None and clock.taken < doubt.until_taken and not due:
+                return None
+            if doubt is not None and doubt.far:
+                return Proposal(cloud, CloudReason.CLOCK_OFFSET)
             if buffer.covers(cloud.first_ns, cloud.last_ns):
-                poses = buffer.window(cloud.first_ns, cloud.last_ns)
-                outcome = INTEGRATED
-                if too_far_apart(poses, self.settings.max_pose_gap_ns):
-                    outcome = CloudReason.POSE_GAP
-                elif too_fast(poses, self.settings.max_speed, math.inf):
-                    outcome = CloudReason.POSE_JUMP
-                return Proposal(cloud, outcome, tuple((pose.input, pose.transform) for pose in poses))
-        if now >= cloud.arrival.at + self.settings.max_wait:  # the same sum as in deadline(), to the bit
-            return Proposal(cloud, CloudReason.NO_POSE)
-        return None
+                return self._place(cloud, buffer.window(cloud.first_ns, cloud.last_ns))
+        return Proposal(cloud, CloudReason.NO_POSE) if due else None
+
+    def _place(self, cloud: LoggedCloud, poses: Sequence[Pose]) -> Proposal:
+        outcome = INTEGRATED
+        if too_far_apart(poses, self.settings.max_pose_gap_ns):
+            outcome = CloudReason.POSE_GAP
+        elif leaps(poses):
+            outcome = CloudReason.POSE_JUMP
+        return Proposal(cloud, outcome, tuple((pose.input, pose.transform) for pose in poses))
 
     def _victim(self) -> LoggedCloud | None:
-        queues = [queue for queue in self.queues.values() if queue.published.clouds]
-        return max(queues, key=lambda queue: queue.size).published.clouds[0] if queues else None
+        sizes: Counter[str] = Counter()
+        for (robot, _), queue in self.queues.items():
+            sizes[robot] += queue.size
+        rows = [
+            (sizes[robot], queue.published.clouds[0])
+            for (robot, _), queue in self.queues.items()
+            if queue.published.clouds
+        ]
+        most = max((size for size, _ in rows), default=0)
+        return min((cloud for size, cloud in rows if size == most), key=lambda cloud: cloud.input, default=None)
 
     def _end(self, cloud: LoggedCloud, reason: CloudReason) -> None:
         self._remove(cloud)
         self.ended.append(Proposal(cloud, reason))
 
     def _remove(self, cloud: LoggedCloud) -> None:
-        queue = self.queues[cloud.robot]
+        queue = self.queues[cloud.sensor]
         queue.remove(cloud)
         if not queue:
-            del self.queues[cloud.robot]
+            del self.queues[cloud.sensor]
         self.size -= cloud.size

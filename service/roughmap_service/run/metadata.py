@@ -18,5 +18,6 @@ def file_metadata(run_id: str, run: Run, config: Config, *, epoch: int, index: i
         base_sequence=run.map.sequence,
         base_digest=run.map.digest(),
         version=version("roughmap"),
+        rules=run.settings.rules,
         configuration=config.public_dict(),
     )

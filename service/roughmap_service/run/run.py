@@ -11,9 +11,9 @@ A replay takes the same messages, and `follow` does what the logged events say. 
 clock in here, so nothing but the order of the calls decides what comes out.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from roughmap import Prepared, RoughMap, TooManyTiles
 from roughmap.tiles.table import ReaderLock
@@ -27,14 +27,20 @@ from roughmap_schemas import (
     PointReason,
     PoseReason,
     ResetEvent,
+    SensorTimeEvent,
+    TimeForm,
 )
 from roughmap_schemas.faults import ReportedError
 from roughmap_service.run.decoding import Content
 from roughmap_service.run.duplicates import Duplicates, Identity
 from roughmap_service.run.inbox import INTEGRATED, Arrival, Inbox, LoggedCloud, Proposal
 from roughmap_service.run.placing import place_cloud
-from roughmap_service.run.poses import NoTrajectory, Pose, PoseBuffer
-from roughmap_service.run.settings import Settings
+from roughmap_service.run.point_times import Ambiguous
+from roughmap_service.run.poses import NoTrajectory, Pose
+from roughmap_service.run.robot import OdometryTaken, Robot
+from roughmap_service.run.sensor_clock import Doubt, SensorClock
+from roughmap_service.run.sensor_times import SensorTimes
+from roughmap_service.run.settings import NS, Settings
 
 KNOWN_WHEN_PLACED = (INTEGRATED, CloudReason.EMPTY, CloudReason.TOO_MANY_TILES)
 """Outcomes that follow from placing the cloud. All others are known before."""
@@ -52,14 +58,23 @@ class RunError(ReportedError):
 class Taken:
     """What a message did to the run.
 
-    ``input`` is its number, ``rejected`` why an odometry or transform gives no pose. ``clock_reset``: the robot's clock
-    was set back. ``jumped``: its transform moved further than the sigmas of its poses allow.
+    ``input`` is its number, ``odometry`` what an odometry led to, ``rejected`` why a transform is not taken.
+    ``jumped``: its transform moved further than the sigmas of its poses allow.
     """
 
     input: int
+    odometry: OdometryTaken | None = None
     rejected: PoseReason | None = None
-    clock_reset: bool = False
     jumped: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class NoTimes:
+    """Clouds of a sensor end since the meaning of their points' times is unclear; ``seen`` says what was seen."""
+
+    robot: str
+    frame_id: str
+    seen: str
 
 
 @dataclass
@@ -70,6 +85,8 @@ class Run:
         input: number of the last message; the log's numbers begin at 1.
         record: number of the last record, messages and events together.
         clouds: logged clouds without a decision, by input number.
+        doubts: what is wrong with the stamps of those in doubt.
+        times: how the times of the sensors' points are read.
         newest_stamp_ns: of the points in the map.
     """
 
@@ -79,17 +96,21 @@ class Run:
     input: int = 0
     record: int = 0
     newest_stamp_ns: int = 0
-    poses: dict[str, PoseBuffer] = field(default_factory=dict)
+    robots: dict[str, Robot] = field(default_factory=dict)
     clouds: dict[int, LoggedCloud] = field(default_factory=dict)
+    doubts: dict[int, Doubt] = field(default_factory=dict)
+    times: SensorTimes = field(default_factory=SensorTimes)
     duplicates: Duplicates = field(init=False)
     inbox: Inbox = field(init=False)
 
     def __post_init__(self) -> None:
         self.duplicates = Duplicates(self.settings.config.input.duplicates)
-        self.inbox = Inbox(self.settings, self.poses)
+        self.inbox = Inbox(self.settings, self.robots, self.doubts)
 
-    def take(self, robot: str, content: Content, identity: Identity, arrival: Arrival | None = None) -> Taken:
-        """Number the next message and apply it.
+    def take(
+        self, robot: str, content: Content, identity: Identity, received_ns: int, arrival: Arrival | None = None
+    ) -> Taken:
+        """Number the next message and apply it; ``received_ns`` is its log time, the same in a replay.
 
         With an ``arrival`` a cloud waits in the inbox. A replayed one has none: its event holds what was decided.
         """
@@ -97,29 +118,64 @@ class Run:
         self.record += 1
         self.duplicates.add(identity, self.input)
         if isinstance(content, Cloud):
+            self.times.count(robot, content, self.settings)
             cloud = self.keep(self.input, robot, content, arrival or REPLAYED)
+            self._judge_stamp(cloud, content.stamp_ns, received_ns)
             if arrival is not None:
                 self.inbox.feed(cloud)
             return Taken(self.input)
-        buffer = self.buffer(robot)
         if isinstance(content, Odometry):
-            rejected, clock_reset = buffer.add(content, self.input)
-            if clock_reset:
-                self.inbox.clock_reset(robot)
-            return Taken(self.input, rejected, clock_reset)
-        jumps = buffer.jumps
-        rejected = buffer.add_transform(content, self.input)
-        return Taken(self.input, rejected, jumped=buffer.jumps > jumps)
+            taken = self.robot(robot).take_odometry(content, self.input, received_ns)
+            if taken.ended_from:
+                self._end_clouds(robot, taken.ended_from)
+            return Taken(self.input, taken)
+        rejected, jumped = self.robot(robot).add_transform(content, self.input)
+        return Taken(self.input, rejected=rejected, jumped=jumped)
 
     def keep(self, number: int, robot: str, content: Cloud, arrival: Arrival = REPLAYED) -> LoggedCloud:
         """Keep a logged cloud until its event."""
-        cloud = self.clouds[number] = LoggedCloud.of(number, robot, content, arrival)
+        timed = self.times.read(robot, content, self.settings)
+        cloud = self.clouds[number] = LoggedCloud.of(number, robot, content, timed, arrival)
         return cloud
 
     def resume(self, now: float) -> None:
         """Continue live after a replay: undecided clouds wait again, from monotonic time ``now`` (s) on."""
         for number, cloud in sorted(self.clouds.items()):
-            self.inbox.feed(self.keep(number, cloud.robot, cloud.cloud, Arrival(now, promised=True, resumed=True)))
+            self.clouds[number] = replace(cloud, arrival=Arrival(now, promised=True, resumed=True))
+            self.inbox.feed(self.clouds[number])
+
+    def find_times(self, now: float) -> Iterator[SensorTimeEvent | NoTimes]:
+        """Find how the times of waiting clouds are read, at monotonic time ``now`` (s).
+
+        Log each event and give it to `read_times` before the next. Clouds whose times are unclear end as `time_form`.
+        """
+        for clouds, due in self.inbox.untimed(now):
+            robot, frame_id = sensor = clouds[0].sensor
+            found = self.times.find(sensor, [one.cloud for one in clouds], self.settings, last=due)
+            if isinstance(found, Ambiguous):
+                self.doubts.update({one.input: Doubt(CloudReason.TIME_FORM) for one in clouds})
+                yield NoTimes(robot, frame_id, found.seen)
+            elif found is not None:
+                yield SensorTimeEvent(
+                    epoch=self.epoch, robot=robot, frame_id=frame_id, field=found.field, unit=found.unit,
+                    origin=found.origin, sequence=self.map.sequence,
+                )  # fmt: skip
+
+    def read_times(self, event: SensorTimeEvent) -> SensorTimeEvent:
+        """Read the times of a sensor's points in this form from now on, and those of its waiting clouds."""
+        sensor = event.robot, event.frame_id
+        self.times.forms[sensor] = TimeForm(event.field, event.unit, event.origin)
+
+        def with_times(cloud: LoggedCloud) -> LoggedCloud:
+            timed = None if cloud.timed else self.times.read(cloud.robot, cloud.cloud, self.settings)
+            return cloud if timed is None else cloud.with_times(timed)
+
+        for number, cloud in self.clouds.items():
+            if cloud.sensor == sensor:
+                self.clouds[number] = with_times(cloud)
+        if sensor in self.inbox.queues:
+            self.inbox.queues[sensor].replace(lambda cloud: self.clouds[cloud.input])
+        return event.model_copy(update={"epoch": self.epoch, "sequence": self.map.sequence})
 
     def decide(self, now: float) -> Proposal | None:
         """Take the next cloud that can be decided at monotonic time ``now`` (s) out of the inbox; None if none can."""
@@ -160,7 +216,9 @@ class Run:
         def change() -> IntegrationEvent:
             self.map.integrate(prepared)
             del self.clouds[cloud.input]  # with the map held: readers that see no cloud waiting see all of them mapped
+            self.doubts.pop(cloud.input, None)
             if prepared.accepted:
+                self._count_integrated(cloud)
                 self.newest_stamp_ns = max(self.newest_stamp_ns, cloud.last_ns)
             return IntegrationEvent(
                 epoch=self.epoch,
@@ -180,8 +238,12 @@ class Run:
         return ResetEvent(epoch=self.epoch + 1, sequence=self.map.sequence + 1)
 
     def reset(self) -> ResetEvent:
-        """Empty the map; a new epoch begins."""
+        """Empty the map; a new epoch begins, into which the messages so far may be sent again."""
         self.map.reset()
+        if self.settings.rules > 1:
+            self.duplicates.clear()
+            for robot in self.robots.values():
+                robot.begin_map(self.input + 1)
         self.epoch += 1
         self.newest_stamp_ns = 0
         return ResetEvent(epoch=self.epoch, sequence=self.map.sequence)
@@ -205,29 +267,55 @@ class Run:
                     f"an event names input {event.input} of {event.robot}, which is a cloud of {cloud.robot}"
                 )
             return self.place(Proposal(cloud, event.outcome, tuple(event.poses)))()
+        if isinstance(event, SensorTimeEvent):
+            return self.read_times(event)
         return self.reset() if isinstance(event, ResetEvent) else self.checkpoint()
 
     def use(self, settings: Settings) -> None:
         """Continue under other settings, such as those of the log's next file."""
+        self.times.forget_changed(self.settings, settings)
         self.settings = self.inbox.settings = settings
-        for buffer in self.poses.values():
-            buffer.history_ns = settings.history_ns
-            buffer.jump_m, buffer.jump_rad = settings.jump_m, settings.jump_rad
-            buffer.max_poses, buffer.max_transforms = settings.max_poses, settings.max_transforms
+        for robot in self.robots.values():
+            robot.use(settings)
 
-    def buffer(self, robot: str) -> PoseBuffer:
-        """Return the robot's pose buffer, made when it is first needed."""
-        if robot not in self.poses:
-            s = self.settings
-            self.poses[robot] = PoseBuffer(
-                s.frame_id, s.history_ns, s.jump_m, s.jump_rad, s.max_poses, s.max_transforms
-            )
-        return self.poses[robot]
+    def robot(self, name: str) -> Robot:
+        """Return the state of a robot, made when it is first needed."""
+        if name not in self.robots:
+            self.robots[name] = Robot(self.settings, name)
+        return self.robots[name]
+
+    def _judge_stamp(self, cloud: LoggedCloud, stamp_ns: int, received_ns: int) -> None:
+        """Note what is wrong with a new cloud's stamp."""
+        if self.settings.rules == 1 or cloud.cloud.frame_id == self.settings.frame_id:
+            return
+        robot, config = self.robot(cloud.robot), self.settings.config.sensor(*cloud.sensor)
+        offset_ns = 0 if config is None else round(config.time_offset * NS)
+        sensor = robot.sensors.setdefault(cloud.cloud.frame_id, SensorClock())
+        doubt = sensor.cloud(cloud.input, stamp_ns + offset_ns, received_ns, robot.clock)
+        if doubt is not None:
+            self.doubts[cloud.input] = doubt
+
+    def _end_clouds(self, name: str, number: int) -> None:
+        """The robot's clock went back at this input: of the clouds since, only those after their sensor's stamps fell
+        back are of the present clock."""
+        sensors = self.robots[name].sensors
+        for cloud in self.clouds.values():
+            if cloud.robot != name or cloud.input < number or cloud.cloud.frame_id not in sensors:
+                continue
+            if cloud.input >= sensors[cloud.cloud.frame_id].fell >= number:
+                self.doubts.pop(cloud.input, None)
+            else:
+                self.doubts[cloud.input] = Doubt(CloudReason.CLOCK_RESET)
+
+    def _count_integrated(self, cloud: LoggedCloud) -> None:
+        sensor = self.robots[cloud.robot].sensors.get(cloud.cloud.frame_id) if cloud.robot in self.robots else None
+        if sensor is not None:
+            sensor.count_integrated()
 
     def _named_poses(self, proposal: Proposal) -> list[Pose]:
         cloud = proposal.cloud
         try:
-            return self.buffer(cloud.robot).named(proposal.poses)
+            return self.robot(cloud.robot).buffer.named(proposal.poses)
         except KeyError as missing:
             raise RunError(
                 f"the event of input {cloud.input} names odometry and transform {missing}, which are not among the "

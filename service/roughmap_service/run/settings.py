@@ -10,9 +10,14 @@ import numpy.typing as npt
 from roughmap import Limits, Noise, RoughMap
 from roughmap.tiles.shelf import Shelf
 from roughmap_schemas import Config, SensorConfig
-from roughmap_service.run.poses import MAX_POSES, MAX_TRANSFORMS
+from roughmap_service.run.covariances import Policy
+from roughmap_service.run.poses import MAX_POSES
+from roughmap_service.run.transforms import MAX_TRANSFORMS
 
 NS = 1_000_000_000
+
+RULES = 2
+"""Version of the rules that decide on poses and clouds. A log of earlier rules is replayed by its events."""
 
 LARGEST_SIGMA = 1e100
 """Larger sigmas count as this one: its square is still finite."""
@@ -39,7 +44,12 @@ class Settings:
     """
 
     def __init__(
-        self, config: Config, *, max_poses: int = MAX_POSES, max_transforms: int = MAX_TRANSFORMS, rules: int = 2
+        self,
+        config: Config,
+        *,
+        rules: int = RULES,
+        max_poses: int = MAX_POSES,
+        max_transforms: int = MAX_TRANSFORMS,
     ) -> None:
         inputs = config.input
         self.config = config
@@ -58,7 +68,7 @@ class Settings:
         self.max_robots = inputs.max_robots
         self.max_new_tiles = config.map.max_new_tiles
         self.max_tiles = config.map.max_tiles
-        pose_sigma = np.minimum(np.array(inputs.pose_sigma, np.float64), LARGEST_SIGMA)
+        self.pose_sigma = pose_sigma = np.minimum(np.array(inputs.pose_sigma, np.float64), LARGEST_SIGMA)
         placed_sigma = min(inputs.placed_sigma, LARGEST_SIGMA)
         self.pose_covariance: npt.NDArray[np.float64] = np.diag(pose_sigma**2)
         self.placed_covariance: npt.NDArray[np.float64] = np.eye(3) * (placed_sigma * placed_sigma)
@@ -68,11 +78,16 @@ class Settings:
         self._sensors: dict[tuple[str, str], Sensor | None] = {}
 
     @classmethod
-    def of_log(cls, config: Config, stored: Mapping[str, Any]) -> Self:
-        """Return the settings of a log file: its ``config``, and the limits on poses that its ``stored`` one names."""
+    def of_log(cls, config: Config, stored: Mapping[str, Any], rules: int) -> Self:
+        """Return the settings of a log file: its ``config``, its rules, the limits that ``stored`` names."""
         inputs = stored.get("input", {})
         limits = {name: inputs[name] for name in ("max_poses", "max_transforms") if isinstance(inputs.get(name), int)}
-        return cls(config, **limits)
+        return cls(config, rules=rules, **limits)
+
+    def pose_covariance_of(self, robot: str) -> Policy:
+        """How the covariances of a robot's poses are used."""
+        of = self.config.robots.get(robot)
+        return "message" if of is None else of.pose_covariance
 
     def sensor(self, robot: str, frame_id: str) -> Sensor | None:
         """The sensor with that frame on that robot; None if it is not configured."""
@@ -121,6 +136,7 @@ def new_map(config: Config, shelf: Shelf | None = None) -> RoughMap:
         min_distance=m.min_distance,
         min_share=m.min_share,
         max_horizontal_radius=m.max_horizontal_radius,
+        max_vertical_sigma=m.max_vertical_sigma,
         bounds=m.bounds,
         levels=m.levels,
         threads=config.service.threads or None,

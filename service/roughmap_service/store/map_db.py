@@ -56,8 +56,8 @@ class Cut:
     """The place in the run where the stored map stands, and what the run needs beside the map to go on from there.
 
     ``input`` and ``record`` are the last ones before the cut. ``low_water`` is the input of the oldest undecided cloud,
-    or the next input if there is none. ``poses`` (the robots' pose buffers) and ``duplicates`` (the remembered
-    messages) are JSON values. ``digest`` is the map's.
+    or the next input if there is none. ``poses`` (the robots), ``duplicates`` (the remembered messages), ``doubts`` (of
+    undecided clouds) and ``times`` (how the sensors' times are read) are JSON values. ``digest`` is the map's.
     """
 
     run: str
@@ -70,6 +70,8 @@ class Cut:
     configuration_digest: str
     poses: dict[str, Any] = field(default_factory=dict)
     duplicates: list[Any] = field(default_factory=list)
+    doubts: dict[str, Any] = field(default_factory=dict)
+    times: list[Any] = field(default_factory=list)
     digest: str = ""
     state_version: int = STATE_VERSION
 

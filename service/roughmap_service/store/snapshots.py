@@ -11,6 +11,7 @@ from roughmap_service.host.log_lines import note
 from roughmap_service.journal.keep import Needed, delete_oldest
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.run.run import Run
+from roughmap_service.run.sensor_clock import Doubt
 from roughmap_service.run.settings import NS
 from roughmap_service.run.view import View
 from roughmap_service.store.map_db import Cut, Store, StoreError
@@ -40,7 +41,9 @@ def cut_of(run_id: str, config: Config, run: Run) -> Cut:
         low_water=oldest if oldest is not None else run.input + 1,
         configuration=config.public_dict(),
         configuration_digest=configuration_digest(config),
-        poses={robot: buffer.to_state() for robot, buffer in run.poses.items()},
+        poses={name: robot.to_state() for name, robot in run.robots.items()},
+        doubts={str(number): doubt.to_state() for number, doubt in run.doubts.items()},
+        times=run.times.to_state(),
         duplicates=run.duplicates.to_state(),
         digest=run.map.digest(),
     )
@@ -50,8 +53,10 @@ def take_cut(cut: Cut, run: Run) -> None:
     """Bring a new run to a cut, except for the tiles of its map; the inverse of `cut_of`."""
     run.epoch, run.input, run.record = cut.epoch, cut.input, cut.record
     run.newest_stamp_ns = run.map.newest_updated * NS
-    for robot, buffer in cut.poses.items():
-        run.buffer(robot).load_state(buffer)
+    for name, robot in cut.poses.items():
+        run.robot(name).load_state(robot)
+    run.doubts.update({int(number): Doubt.of_state(doubt) for number, doubt in cut.doubts.items()})
+    run.times.load_state(cut.times)
     run.duplicates.load_state(cut.duplicates)
 
 

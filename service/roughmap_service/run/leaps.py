@@ -1,0 +1,95 @@
+"""Leaps: poses that no motion explains, such as the corrections of a localisation."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from roughmap_schemas.geometry import Quaternion, Vector
+from roughmap_service.run.pose_algebra import multiply
+from roughmap_service.run.poses import Pose
+
+MOTION_NS = 100_000_000
+"""Time over which a robot's velocity is taken: over less, the noise of its poses would be most of it."""
+
+MAX_TURN_LEAP = 0.3
+"""Radians by which a turn may differ from the robot's motion, beside what `MAX_TURN_ACCELERATION` explains."""
+
+MAX_TURN_ACCELERATION = 50.0
+"""rad/s^2."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leap:
+    """A pose ``metres`` and ``radians`` from where the robot's motion led, ``seconds`` after the pose before."""
+
+    metres: float
+    radians: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A mean velocity in m/s and a mean turn rate in rad/s, as a vector, in map axes."""
+
+    velocity: Vector
+    turn: Vector
+
+
+def find_leap(
+    poses: Sequence[Pose], at: int, max_leap: float, max_acceleration: float, max_speed: float
+) -> Leap | None:
+    """Return the leap from the pose before to the one ``at`` this place; None if a motion explains it.
+
+    A pose leaps if it is further than ``max_leap`` + ``max_acceleration`` dt^2 / 2 from where the robot's velocity
+    would have brought it, if its rotation differs likewise, or if it moved more than ``max_leap`` and faster than
+    ``max_speed``. The velocity is that of the 0.1 s or more before, since the last leap; it does not judge while there
+    are none.
+    """
+    if not at:
+        return None
+    last, pose = poses[at - 1], poses[at]
+    seconds = (pose.stamp_ns - last.stamp_ns) * 1e-9
+    step = math.dist(pose.position, last.position)
+    motion = motion_before(poses, at)
+    if motion is None:
+        leapt = step > max_leap and step > max_speed * seconds
+        return Leap(step, 0.0, seconds) if leapt else None
+    expected = [p + v * seconds for p, v in zip(last.position, motion.velocity, strict=True)]
+    metres = math.dist(pose.position, expected)
+    turned = _turn(last.rotation, pose.rotation)
+    radians = math.dist(turned, [w * seconds for w in motion.turn])
+    squared = seconds * seconds / 2.0
+    if (
+        metres > max_leap + max_acceleration * squared
+        or (step > max_leap and step > max_speed * seconds)
+        or radians > MAX_TURN_LEAP + MAX_TURN_ACCELERATION * squared
+    ):
+        return Leap(metres, radians, seconds)
+    return None
+
+
+def motion_before(poses: Sequence[Pose], at: int) -> Motion | None:
+    """Return the motion over the last 0.1 s or more without a leap before a pose; None if there is none."""
+    end = at - 1
+    while end > 0:
+        start = end
+        while start > 0 and not poses[start].leapt and poses[end].stamp_ns - poses[start].stamp_ns < MOTION_NS:
+            start -= 1
+        if (span := poses[end].stamp_ns - poses[start].stamp_ns) >= MOTION_NS:
+            seconds = span * 1e-9
+            a, b = poses[start], poses[end]
+            x, y, z = ((q - p) / seconds for p, q in zip(a.position, b.position, strict=True))
+            u, v, w = (t / seconds for t in _turn(a.rotation, b.rotation))
+            return Motion((x, y, z), (u, v, w))
+        end = start - 1  # before the leap
+    return None
+
+
+def _turn(a: Quaternion, b: Quaternion) -> Vector:
+    """The shorter turn from a to b as a rotation vector in the parent frame's axes."""
+    x, y, z, w = multiply(b, (-a[0], -a[1], -a[2], a[3]))
+    sine = math.sqrt(x * x + y * y + z * z)
+    if sine == 0.0:
+        return 0.0, 0.0, 0.0
+    factor = 2.0 * math.atan2(sine, abs(w)) / sine * (1.0 if w >= 0.0 else -1.0)
+    return x * factor, y * factor, z * factor

@@ -1,0 +1,243 @@
+"""One robot: what its odometry, transforms and clouds' stamps lead to, in the order of their arrival."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from roughmap_schemas import Odometry, PoseReason, Transform
+from roughmap_schemas.geometry import rotation_matrix
+from roughmap_service.run.covariances import BadCovariance, settle
+from roughmap_service.run.leaps import Leap, find_leap
+from roughmap_service.run.odometry_clock import BACK_FENCE_NS, BELIEVED, BREAK_FENCE_NS, Held, OdometryClock, Verdict
+from roughmap_service.run.pose_algebra import Floats, multiply, quaternion, rotate, triple, turn_covariance
+from roughmap_service.run.poses import Pose, PoseBuffer
+from roughmap_service.run.rules_1 import StampOrder
+from roughmap_service.run.sensor_clock import SensorClock
+from roughmap_service.run.settings import Settings
+from roughmap_service.run.transforms import Transforms
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryTaken:
+    """What an odometry led to.
+
+    Attributes:
+        settled: what became of each message that is settled now: why it gives no pose, None if it does. Empty while
+            this one is held; more than one if others were held before it.
+        verdict: what the stamps said.
+        ended_from: clouds from this input number on may have been made before the robot's clock went back; 0: none.
+        leap: the leap that the pose is.
+        unestimated: whether the message had no estimate of some of its covariance.
+        two_sources: whether it showed that the robot has two sources of odometry.
+        why: what is wrong with its covariance.
+    """
+
+    settled: Sequence[PoseReason | None]
+    verdict: Verdict = Verdict.TAKE
+    ended_from: int = 0
+    leap: Leap | None = None
+    unestimated: bool = False
+    two_sources: bool = False
+    why: str = ""
+
+
+@dataclass
+class Robot:
+    """The state of one robot. It depends on nothing but the messages and their order, so a replay has the same."""
+
+    settings: Settings
+    name: str
+    buffer: PoseBuffer = field(init=False)
+    transforms: Transforms = field(default_factory=Transforms)
+    clock: OdometryClock = field(default_factory=OdometryClock)
+    sensors: dict[str, SensorClock] = field(default_factory=dict)
+    order: StampOrder = field(default_factory=StampOrder)
+
+    def __post_init__(self) -> None:
+        self.buffer = PoseBuffer(self.settings.history_ns, self.settings.max_poses)
+
+    def use(self, settings: Settings) -> None:
+        """Continue under other settings."""
+        self.settings = settings
+        self.buffer.history_ns, self.buffer.max_poses = settings.history_ns, settings.max_poses
+
+    def judge(self, stamp_ns: int) -> Verdict:
+        """Return what becomes of an odometry of this stamp; nothing changes."""
+        if self.settings.rules == 1:
+            return Verdict.TAKE
+        return self.clock.judge(stamp_ns, self.settings.max_pose_gap_ns, self.settings.history_ns)
+
+    def take_odometry(self, odometry: Odometry, number: int, arrival_ns: int) -> OdometryTaken:
+        """Take the odometry with this input number. ``arrival_ns`` as in the log."""
+        if self.settings.rules == 1:
+            return self._take_by_stamp(odometry, number)
+        verdict = self.judge(odometry.stamp_ns)
+        if verdict is Verdict.REPEAT:
+            frozen = self.clock.count_repeat(number)
+            return OdometryTaken([PoseReason.FROZEN if frozen else PoseReason.DUPLICATE], verdict)
+        pose, why, unestimated = self._pose(odometry, number)
+        one = Held(odometry.stamp_ns, number, pose)
+        if verdict is Verdict.HOLD:
+            given_up = self.clock.hold(one)
+            settled = [] if given_up is None else [self._given_up(given_up)]
+            return OdometryTaken(settled, verdict, unestimated=unestimated, why=why)
+        return self._believe(verdict, one, arrival_ns, unestimated=unestimated, why=why)
+
+    def add_transform(self, transform: Transform, number: int) -> tuple[PoseReason | None, bool]:
+        """Add a transform. Return `pose_frame` if its parent is not the map's frame, and whether it jumped."""
+        if transform.parent_frame_id != self.settings.frame_id:
+            return PoseReason.POSE_FRAME, False
+        s = self.settings
+        return None, self.transforms.add(transform, number, s.jump_m, s.jump_rad, s.max_transforms)
+
+    def _believe(self, verdict: Verdict, one: Held, arrival_ns: int, *, unestimated: bool, why: str) -> OdometryTaken:
+        """Take a message whose stamp is believed, and with it those held before that belong to it."""
+        clock, newest = self.clock, self.clock.newest_ns
+        held = clock.release()
+        together: list[Held] = []
+        settled: list[PoseReason | None] = []
+        ended_from, two_sources = 0, False
+        if verdict in (Verdict.FORWARD, Verdict.BACK):
+            together = clock.row_of(one.stamp_ns, held, self.settings.max_pose_gap_ns, self.settings.history_ns)
+        elif clock.two_sources:
+            together = [h for h in held if h.stamp_ns <= newest]
+        settled += [self._given_up(h) for h in held if h not in together]
+        if verdict is Verdict.BACK and clock.anew_from:  # clouds since the map was emptied are of the new time
+            self.buffer.clear()
+            clock.begin(clock.anew_from, 0)
+            self.transforms.keep_last()
+        elif verdict is Verdict.BACK and clock.taken < BELIEVED:  # what came first was wild
+            self.buffer.clear()
+            clock.begin(clock.begun, 0)
+        elif verdict is Verdict.BACK:
+            ended_from = together[0].input
+            self._begin_anew(ended_from, together[0].stamp_ns + BACK_FENCE_NS)
+            self.transforms.keep_last()
+        elif verdict is Verdict.BREAK:
+            ended_from = min(h.input for h in held if h.stamp_ns <= newest)
+            two_sources = clock.count_break(one.stamp_ns, self.settings.history_ns)
+            self._begin_anew(ended_from, one.stamp_ns + BREAK_FENCE_NS)
+        leap: Leap | None = None
+        for each in sorted([*together, one], key=lambda h: h.stamp_ns):
+            why_not, leapt = self._insert(each)
+            settled.append(why_not)
+            leap = leapt or leap
+            for sensor in self.sensors.values():
+                sensor.odometry(each.stamp_ns, arrival_ns)
+        self.buffer.trim()
+        return OdometryTaken(settled, verdict, ended_from, leap, unestimated, two_sources, why)
+
+    def _begin_anew(self, number: int, fence_ns: int) -> None:
+        self.buffer.clear()
+        self.clock.begin(number, fence_ns)
+        for sensor in self.sensors.values():
+            if sensor.fell >= number:
+                sensor.begin()
+            else:
+                sensor.fenced = True
+
+    def _insert(self, one: Held) -> tuple[PoseReason | None, Leap | None]:
+        """Count a message as taken, and insert its pose. Return why there is none, and the leap that it is."""
+        self.clock.take(one.stamp_ns)
+        if isinstance(one.pose, PoseReason):
+            return one.pose, None
+        if one.stamp_ns < self.buffer.horizon_ns:
+            return PoseReason.STALE, None
+        at = self.buffer.insert(one.pose)
+        if at is None:
+            return PoseReason.DUPLICATE, None
+        leap = self._mark_leap(at)
+        if at + 1 < len(self.buffer.poses):
+            self._mark_leap(at + 1)
+        return None, leap
+
+    def _mark_leap(self, at: int) -> Leap | None:
+        poses, s = self.buffer.poses, self.settings
+        leap = find_leap(poses, at, s.max_leap, s.max_acceleration, s.max_speed)
+        if poses[at].leapt != (leap is not None):
+            poses[at] = replace(poses[at], leapt=leap is not None)
+        return leap
+
+    def _given_up(self, held: Held) -> PoseReason:
+        if held.stamp_ns > self.clock.newest_ns:
+            return PoseReason.AHEAD
+        return PoseReason.STALE if held.stamp_ns < self.buffer.horizon_ns else PoseReason.OUT_OF_ORDER
+
+    def _take_by_stamp(self, odometry: Odometry, number: int) -> OdometryTaken:
+        pose, _, _ = self._pose(odometry, number)
+        if isinstance(pose, PoseReason):
+            return OdometryTaken([pose])
+        reason = self.order.add(self.buffer, pose)
+        self.clock.newest_ns = self.buffer.poses[-1].stamp_ns
+        return OdometryTaken([reason])
+
+    def _pose(self, odometry: Odometry, number: int) -> tuple[Pose | PoseReason, str, bool]:
+        """Return the pose in the map frame or why there is none, what is wrong, and whether some was not estimated."""
+        s = self.settings
+        covariance, why, unestimated = odometry.covariance, "", False
+        fault = odometry.covariance_fault
+        if s.rules == 1:
+            fault = fault or (covariance is not None and bool((covariance.diagonal() < 0.0).any()))
+        elif not fault:
+            try:
+                settled = settle(covariance, s.pose_sigma, s.pose_covariance_of(self.name))
+                covariance, unestimated = settled.covariance, settled.replaced
+            except BadCovariance as error:
+                fault, why = True, str(error)
+        position, rotation = triple(odometry.position), quaternion(odometry.rotation)
+        if odometry.frame_id == s.frame_id:
+            if fault:
+                return PoseReason.BAD_COVARIANCE, why, False
+            return Pose(odometry.stamp_ns, position, rotation, covariance, number, 0), "", unestimated
+        transform = self.transforms.find(odometry.frame_id, odometry.stamp_ns, oldest=s.rules > 1)
+        if transform is None:
+            return PoseReason.POSE_FRAME, f"no transform leads from frame {odometry.frame_id!r} to the map's", False
+        turn = rotation_matrix(transform.rotation)
+        moved = rotate(turn, position)
+        t = transform.translation
+        placed = t[0] + moved[0], t[1] + moved[1], t[2] + moved[2]
+        if not all(map(math.isfinite, placed)):
+            return PoseReason.POSE_FRAME, "its position overflows", False  # the sum of finite numbers may
+        if fault:
+            return PoseReason.BAD_COVARIANCE, why, False
+        turned: Floats | None = None if covariance is None else turn_covariance(turn, covariance)
+        if (
+            turned is not None and not np.isfinite(turned).all()
+        ):  # turned into map axes, the largest numbers may overflow
+            return PoseReason.BAD_COVARIANCE, "it overflows in map axes", False
+        turned_rotation = multiply(transform.rotation, rotation)
+        return Pose(odometry.stamp_ns, placed, turned_rotation, turned, number, transform.input), "", unestimated
+
+    def begin_map(self, number: int) -> None:
+        """Forget the stamps: the map was emptied, and the same recording may be played again from this input on."""
+        self.clock.release()
+        self.clock.anew_from = number
+        for sensor in self.sensors.values():
+            sensor.begin()
+            sensor.last_ns = -1
+
+    def to_state(self) -> dict[str, Any]:
+        """Return everything as JSON values."""
+        return {
+            "poses": self.buffer.to_state(),
+            "transforms": self.transforms.to_state(),
+            "horizon_ns": self.buffer.horizon_ns,
+            "stale": [self.order.stale_row, self.order.stale_stamp_ns],
+            "clock": self.clock.to_state(),
+            "sensors": {frame: sensor.to_state() for frame, sensor in self.sensors.items()},
+        }
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Restore what `to_state` returned, here or in a version with the rules of 1."""
+        self.buffer.poses = [Pose.of_state(pose) for pose in state["poses"]]
+        self.buffer.horizon_ns = state["horizon_ns"]
+        self.transforms.load_state(state["transforms"])
+        self.order.stale_row, self.order.stale_stamp_ns = state["stale"]
+        if "clock" in state:
+            self.clock.load_state(state["clock"])
+        elif self.buffer.poses:
+            self.clock.newest_ns = self.buffer.poses[-1].stamp_ns
+        self.sensors = {frame: SensorClock.of_state(sensor) for frame, sensor in state.get("sensors", {}).items()}
