@@ -325,8 +325,10 @@ class Batch:
             for subject, text in mine.items():
                 if not self._may_be(walk, subject) and not any(one.startswith(subject) for one in told.wrong):
                     told.wrong.append(f"{subject} in problems: {text}")
-            if walk.ended and told.ended is None and not mine:
-                told.ended = now - walk.ended
+            if walk.ended and told.ended is None:
+                told.said["ended"] = "; ".join(mine.values())
+                if not mine:
+                    told.ended = now - walk.ended
             if mine and status.health != "degraded":
                 told.wrong.append(f"health is {status.health} with problems")
 
