@@ -75,7 +75,7 @@ LOST = {
 }
 
 
-@pytest.mark.parametrize("problem", [None, *(set(Problem) - {Problem.STARTING, Problem.SHUTTING_DOWN})])
+@pytest.mark.parametrize("problem", [None, *(p for p in Problem if p not in (Problem.STARTING, Problem.SHUTTING_DOWN))])
 def test_over_zenoh_it_says_what_the_page_says(
     problem: Problem | None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,6 +1,7 @@
 """A start after an end, orderly or not: the map, and all that the run needs to go on, from the store and the log."""
 
 import json
+import math
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -222,6 +223,18 @@ def test_another_map_is_refused_with_both_values(logs: Path, store: Store) -> No
     for known in (None, store):
         with pytest.raises(IdentityError, match=r"cell_size is 0\.25 .* but 0\.1 in"):
             recover(other, logs, known)
+
+
+@pytest.mark.parametrize(("before", "now"), [(0.5, math.inf), (math.inf, 0.5), (0.5, 0.6)])
+def test_a_limit_that_is_or_was_infinite_makes_another_map(logs: Path, before: float, now: float) -> None:
+    """Maps without it are as those of versions that had no such limit."""
+    with LoggedRun(logs, config(map={"max_vertical_sigma": before})) as run:
+        drive(run, 0, 1)
+    with pytest.raises(IdentityError) as caught:
+        recover(config(map={"max_vertical_sigma": now}), logs, None)
+    here, there = (repr("inf" if math.isinf(value) else value) for value in (now, before))
+    assert f"map.max_vertical_sigma is {here} in the configuration but {there} in" in str(caught.value)
+    assert recover(config(map={"max_vertical_sigma": before}), logs, None).run_id == run.run_id
 
 
 def test_the_newest_of_two_runs(logs: Path, store: Store) -> None:

@@ -48,8 +48,8 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     with Service(folder, http=http, log={"directory": str(folder / "log"), "max_file_age": 3600}) as service:
         ready = service.ready()
         with connected(service) as feed:
-            for number, stamp in ((1, T0), (5, T0 + 10**8)):
-                pose = encode_odometry(stamp, "map", (0.0, 0.0, 0.0), LEVEL, PRECISE)
+            for n, number in enumerate([*range(1, 10), 13]):
+                pose = encode_odometry(T0 + n * 10**8, "map", (0.0, 0.0, 0.0), LEVEL, PRECISE)
                 feed.put("odometry", "rover1", pose, attachment=number.to_bytes(8, "little"))
             feed.decided(feed.cloud("rover1", T0 + 5 * 10**7))
             feed.refused("points", "rover1", b"no cloud")

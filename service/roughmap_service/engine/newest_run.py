@@ -79,9 +79,10 @@ def check_identity(config: Config, stored: dict[str, object], where: Path) -> No
     if configuration_digest(there) == configuration_digest(config):
         return
     old, new = there.identity(), config.identity()
-    for name, value in new.items():
-        if old.get(name) != value:
+    for name in {**new, **old}:  # a limit that is not among them is infinite
+        value, stands = new.get(name, "inf"), old.get(name, "inf")
+        if value != stands:
             raise IdentityError(
-                f"map.{name} is {value!r} in the configuration but {old.get(name)!r} in {where}; "
+                f"map.{name} is {value!r} in the configuration but {stands!r} in {where}; "
                 "set it back, or begin a new run with --fresh"
             )

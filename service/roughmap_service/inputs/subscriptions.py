@@ -13,22 +13,15 @@ from roughmap_schemas.kinds import Kind
 from roughmap_service.host.counters import OTHERS, Counters
 from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.admission import refuse
+from roughmap_service.inputs.gaps import Gaps
 from roughmap_service.inputs.queue import InputMessage, InputQueue
 from roughmap_service.inputs.receipts import IngestReply, ReceiptSender
 from roughmap_service.inputs.streams import Streams
 
 logger = logging.getLogger(__name__)
 
-MAX_NUMBERED = 10_000
-"""Streams (one robot's messages of one kind) whose gaps are counted."""
-
-
 MAX_ATTACHMENT = 1 << 16
 """Bytes of an ingest request's attachment. It stays in memory until the answer, and no limit counts it."""
-
-
-MAX_GAP = 1 << 32
-"""A larger step between two numbers is a new count, not a loss."""
 
 
 class ZenohInputs:
@@ -54,7 +47,7 @@ class ZenohInputs:
         self._max_message = max_message
         self._counters = counters
         self._streams = streams
-        self._sequences: dict[tuple[str, Kind], int] = {}
+        self._gaps = Gaps()
         self._undeclare: list[Callable[[], object]] = []
         for kind, key, parse in (
             (Kind.POINTS, keys.points_any, keys.parse_points),
@@ -83,7 +76,7 @@ class ZenohInputs:
                 robot = parse(str(sample.key_expr))
                 if sample.kind == zenoh.SampleKind.DELETE:
                     raise MessageFault(Refusal.BAD_MESSAGE, "expected a put, found a delete")
-                self._count_gap(robot, kind, sample.attachment)
+                self._count_lost(robot, kind, sample)
                 self._check(kind, str(sample.encoding), sample.payload)
             except MessageFault as fault:
                 refuse(self._counters, self._streams, robot, kind, fault)
@@ -119,19 +112,20 @@ class ZenohInputs:
                 Refusal.TOO_LARGE, f"the message has {len(payload)} bytes (input.max_message: {self._max_message})"
             )
 
-    def _count_gap(self, robot: str, kind: Kind, attachment: zenoh.ZBytes | None) -> None:
-        """Count messages lost on the way: publishers number theirs in an 8-byte attachment."""
-        if attachment is None or len(attachment) != 8:
+    def _count_lost(self, robot: str, kind: Kind, sample: zenoh.Sample) -> None:
+        """Count messages lost on the way, by Zenoh's numbers or those in an 8-byte attachment."""
+        attachment = sample.attachment
+        source = getattr(sample, "source_info", None)  # Zenoh marks it as unstable
+        if source is not None:
+            lost = self._gaps.sourced(str(sample.key_expr), str(source.source_id), source.source_sn)
+        elif attachment is not None and len(attachment) == 8:
+            lost = self._gaps.numbered(robot, kind, int.from_bytes(attachment.to_bytes(), "little"))
+        else:
             return
-        number = int.from_bytes(attachment.to_bytes(), "little")
-        last = self._sequences.get((robot, kind))
-        if last is not None and 1 < number - last <= MAX_GAP:
-            missing = number - last - 1
-            self._counters.gap(robot, missing)
-            text = f"robot {robot}: {missing} {kind.value} messages lost before number {number}"
-            note(logger, logging.WARNING, "gap", text, robot=robot, kind=kind.value, missing=missing)
-        if last is not None or len(self._sequences) < MAX_NUMBERED:
-            self._sequences[robot, kind] = number
+        if lost:
+            self._counters.gap(robot, lost)
+            text = f"robot {robot}: {lost} {kind.value} messages lost on the way"
+            note(logger, logging.WARNING, "gap", text, robot=robot, kind=kind.value, missing=lost)
 
 
 ENCODINGS = {
