@@ -7,10 +7,9 @@ Simulated robots with one fault each drive beside a service: is the right fault 
 import argparse
 import json
 import random
+import shutil
 import sys
 import tempfile
-import shutil
-import time
 from pathlib import Path
 
 import walks_paths  # noqa: F401 - before what it makes importable

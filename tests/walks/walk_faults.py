@@ -48,7 +48,7 @@ class Fault:
 
 
 @dataclass(frozen=True)
-class Kind_:
+class FaultKind:
     """A kind of fault: how it is drawn, when it begins, the robot's settings, what the robot's scanners must be like.
 
     ``costs``: subjects that may be problems beside the named one: "robot", "sensors", both or none.
@@ -277,8 +277,8 @@ def odometry_slow(random: Random) -> Fault:
         return [m]
 
     names = Names(
-        log=("stream_lost (pose_gap|no_pose)", "max_pose_gap|poses more often"),
-        health="max_pose_gap|poses more often",
+        log=("stream_lost (pose_gap|no_pose)", rf"{period - 0.05:.1f}\d* s apart.*|poses are .* apart.*publish poses"),
+        health="poses are .* apart.*publish poses more often",
         doctor=r"poses were up to \d\.\d\d s apart", advice="more often|input.max_pose_gap",
     )  # fmt: skip
     return Fault(_odometry(thin), names, f"every {period:.2f} s")
@@ -372,7 +372,7 @@ def times_unclear(random: Random) -> Fault:
 
     names = Names(
         log=("stream_lost time_form", f'time_field.*in {_table(sensor)}.*time_field = "none"'), health="time_field",
-        doctor=rf"unclear how the times of points in '{_frame(sensor)}' are meant.*from 0 to 1",
+        doctor=rf"unclear how the times of points in '{_frame(sensor)}' are meant.*from 0\S* to 1",
         advice=rf'{_table(sensor)}\ntime_field = "none"$',
     )  # fmt: skip
     return Fault(_clouds(sensor, shares), names, sensor, sensor)
@@ -473,44 +473,44 @@ def none(random: Random) -> Fault:
     return Fault(lambda m: [m], Names())
 
 
-FAULTS: dict[str, Kind_] = {
-    "clock_back": Kind_("a robot's clock steps back", clock_back, "meanwhile"),
-    "clock_forward": Kind_("a robot's clock steps forward", clock_forward, "meanwhile"),
-    "stamps_unset": Kind_("stamps are not set", stamps_unset, costs="sensors"),
-    "odometry_frozen": Kind_("odometry has one stamp", odometry_frozen, costs="sensors"),
-    "cloud_frozen": Kind_("a sensor's clouds have one stamp", cloud_frozen),
-    "wild_stamps": Kind_("wild stamps of poses", wild_stamps),
-    "two_sources": Kind_("two sources of odometry out of step", two_sources),
-    "sensor_ahead": Kind_("a sensor's clock 37 s ahead", sensor_ahead, "first"),
-    "sensor_behind": Kind_("a sensor's clock 12 s behind", sensor_behind, "first"),
-    "sensor_moves": Kind_("a sensor's clock moves a little alone", sensor_moves, "meanwhile"),
-    "sensor_leaps": Kind_("a sensor's clock leaps alone", sensor_leaps, "meanwhile"),
-    "leap": Kind_("a localisation leaps once", leap, "meanwhile"),
-    "leaps": Kind_("a localisation leaps again and again", leaps, timed=True, costs="sensors"),
-    "restart": Kind_("a localisation restarts at the origin", restarts_at_origin, "meanwhile"),
-    "no_odometry": Kind_("odometry ends", no_odometry, costs="sensors"),
-    "never_odometry": Kind_("odometry never comes", never_odometry, "first", costs="sensors"),
-    "odometry_slow": Kind_("odometry is too slow", odometry_slow, costs="sensors"),
-    "frame_slash": Kind_("odometry in /map", frame_slash, costs="sensors"),
-    "no_transform": Kind_("a transform is missing", no_transform, costs="sensors"),
-    "covariance_wide": Kind_("covariance too large along x and y", covariance_wide, costs="sensors"),
-    "covariance_high": Kind_("covariance too large along z", covariance_high, costs="sensors"),
-    "covariance_not_psd": Kind_("covariance is not positive semidefinite", covariance_not_psd, costs="sensors"),
-    "covariance_unknown": Kind_("covariance is not estimated", covariance_unknown),
-    "times_unclear": Kind_("points' times from 0 to 1", times_unclear),
-    "times_change": Kind_("points' times take another form", times_change, timed=True),
-    "unknown_frame": Kind_("a sensor's frame is not configured", unknown_frame),
-    "equal_points": Kind_("a thousand equal points", equal_points),
-    "too_many_tiles": Kind_("cells too small for the range", too_many_tiles),
-    "millimetres": Kind_(
+FAULTS: dict[str, FaultKind] = {
+    "clock_back": FaultKind("a robot's clock steps back", clock_back, "meanwhile"),
+    "clock_forward": FaultKind("a robot's clock steps forward", clock_forward, "meanwhile"),
+    "stamps_unset": FaultKind("stamps are not set", stamps_unset, costs="sensors"),
+    "odometry_frozen": FaultKind("odometry has one stamp", odometry_frozen, costs="sensors"),
+    "cloud_frozen": FaultKind("a sensor's clouds have one stamp", cloud_frozen),
+    "wild_stamps": FaultKind("wild stamps of poses", wild_stamps),
+    "two_sources": FaultKind("two sources of odometry out of step", two_sources),
+    "sensor_ahead": FaultKind("a sensor's clock 37 s ahead", sensor_ahead, "first"),
+    "sensor_behind": FaultKind("a sensor's clock 12 s behind", sensor_behind, "first"),
+    "sensor_moves": FaultKind("a sensor's clock moves a little alone", sensor_moves, "meanwhile"),
+    "sensor_leaps": FaultKind("a sensor's clock leaps alone", sensor_leaps, "meanwhile"),
+    "leap": FaultKind("a localisation leaps once", leap, "meanwhile"),
+    "leaps": FaultKind("a localisation leaps again and again", leaps, timed=True, costs="sensors"),
+    "restart": FaultKind("a localisation restarts at the origin", restarts_at_origin, "meanwhile"),
+    "no_odometry": FaultKind("odometry ends", no_odometry, costs="sensors"),
+    "never_odometry": FaultKind("odometry never comes", never_odometry, "first", costs="sensors"),
+    "odometry_slow": FaultKind("odometry is too slow", odometry_slow, costs="sensors"),
+    "frame_slash": FaultKind("odometry in /map", frame_slash, costs="sensors"),
+    "no_transform": FaultKind("a transform is missing", no_transform, costs="sensors"),
+    "covariance_wide": FaultKind("covariance too large along x and y", covariance_wide, costs="sensors"),
+    "covariance_high": FaultKind("covariance too large along z", covariance_high, costs="sensors"),
+    "covariance_not_psd": FaultKind("covariance is not positive semidefinite", covariance_not_psd, costs="sensors"),
+    "covariance_unknown": FaultKind("covariance is not estimated", covariance_unknown),
+    "times_unclear": FaultKind("points' times from 0 to 1", times_unclear),
+    "times_change": FaultKind("points' times take another form", times_change, timed=True),
+    "unknown_frame": FaultKind("a sensor's frame is not configured", unknown_frame),
+    "equal_points": FaultKind("a thousand equal points", equal_points),
+    "too_many_tiles": FaultKind("cells too small for the range", too_many_tiles),
+    "millimetres": FaultKind(
         "points in millimetres, beyond max_range", millimetres,
         settings={"sensors": {frame: {"max_range": 100.0} for frame in SENSORS}},
     ),
-    "excluded": Kind_(
+    "excluded": FaultKind(
         "all points within exclude", excluded,
         settings={"sensors": {frame: {"exclude": [[-2.0, -2.0, -1.0, 2.0, 2.0, 3.0]]} for frame in SENSORS}},
     ),
-    "losses": Kind_("messages are lost on the way", losses),
-    "none": Kind_("nothing is wrong", none),
+    "losses": FaultKind("messages are lost on the way", losses),
+    "none": FaultKind("nothing is wrong", none),
 }  # fmt: skip
 """By name, which is the robot's too."""
