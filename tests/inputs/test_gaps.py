@@ -1,4 +1,4 @@
-"""Which messages were lost on the way: several publishers on one key, restarts, gaps."""
+"""Which messages were lost on the way: several publishers on one key, restarts, losses."""
 
 import pytest
 from hypothesis import given

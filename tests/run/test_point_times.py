@@ -291,7 +291,7 @@ def test_shares_of_a_sweep_are_not_times(dtype: str, period: float) -> None:
     assert isinstance(found, Ambiguous)
     assert found.seen == (
         f"t ({np.dtype(dtype).name}) from {found.seen.split()[3]} to {found.seen.split()[5]} "
-        f"clouds {period:.3g} s apart: fits no unit and origin"
+        f"clouds {period:.3g} s apart: looks like shares of a sweep, not times"
     )
     assert form_of(clouds, "t", "s", "start") == TimeForm("t", "s", "start")
 
@@ -299,12 +299,12 @@ def test_shares_of_a_sweep_are_not_times(dtype: str, period: float) -> None:
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        (np.linspace(0, 5.0, N), "fits no unit"),
-        (1234.5 + AFTER, "fits no unit"),  # a clock of the sensor's own
+        (np.linspace(0, 5.0, N), "fits no form"),
+        (1234.5 + AFTER, "fits no form"),  # a clock of the sensor's own
         (np.linspace(0, 255, N).astype("u1"), "uint8"),
         ((np.arange(N) % 2).astype("<u4"), "from 0 to 1"),
         ((AFTER * 1e6).astype("<u2"), "uint16"),  # runs over
-        (3e8 + AFTER * 1e9, "fits no unit"),  # within a second of its own
+        (3e8 + AFTER * 1e9, "fits no form"),  # within a second of its own
     ],
 )
 def test_what_fits_nothing_is_told(values: np.ndarray, words: str) -> None:
@@ -409,3 +409,12 @@ def test_times_that_ran_under_are_strays() -> None:
 def test_a_flag_is_no_time() -> None:
     clouds = [cloud(T0 + k * S, (np.arange(N) % 2).astype("<u4")) for k in range(5)]
     assert isinstance(form_of(clouds), Ambiguous)
+
+
+def test_a_slow_scanner_is_read_by_one_cloud_where_no_more_come_in_time() -> None:
+    slow = [cloud(T0, (AFTER * 9e9).astype("<u4"))]
+    assert form_of(slow) is None
+    assert form_of(slow, last=True) == TimeForm("t", "ns", "start")
+    few = [cloud(T0, np.linspace(0.0, 0.099, 30).astype("<f4"))]
+    assert form_of(few) is None, "perhaps the first tenth of a millisecond"
+    assert form_of(few, last=True) == TimeForm("t", "s", "start"), "by the contract"

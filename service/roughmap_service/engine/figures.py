@@ -26,6 +26,9 @@ NOTHING = Figures()
 CLOCK_S = 1.0
 """Seconds between a cloud's stamp and the newest pose from which on different clocks are likelier than slow poses."""
 
+LATE_S = 10.0
+"""Seconds by which a localisation may be late, at most."""
+
 LOOKED_AT = 2000
 """Points of a cloud that are looked at."""
 
@@ -35,7 +38,8 @@ KNOWN_FRAMES = 5
 
 @dataclass(frozen=True)
 class LostCloud:
-    """A decided cloud, and what decided it: its robot (None if it never sent a pose) and how long it waited, in s."""
+    """A decided cloud, and what decided it: its robot (None if it never sent a pose), how long it waited in s, and what
+    was seen of its points' times if their meaning is unclear."""
 
     cloud: LoggedCloud
     event: IntegrationEvent
@@ -43,6 +47,7 @@ class LostCloud:
     settings: Settings
     map: RoughMap
     waited: float
+    seen: str = ""
 
     def figures(self) -> Figures:
         """Return the figures of the cause that the cloud is counted under."""
@@ -93,7 +98,10 @@ def _no_pose(lost: LostCloud) -> Figures:
     # Poses went on while the cloud waited.
     ahead = behind + lost.waited
     text = text or f"the newest pose is {ahead:.1f} s behind"
-    return Figures(text, lost.one_clock(ahead) if ahead > lost.settings.max_wait + CLOCK_S else "")
+    if ahead <= lost.settings.max_wait + CLOCK_S:
+        return Figures(text, "publish its poses sooner or more often, or raise input.max_wait")
+    late = f"; raise input.max_wait if its poses come {ahead:.1f} s late" if ahead < LATE_S else ""
+    return Figures(text, lost.one_clock(ahead) + late)
 
 
 def _slow_odometry(robot: Robot, settings: Settings) -> Figures | None:
@@ -117,11 +125,14 @@ def _late(lost: LostCloud) -> Figures:
 
 
 def _clock_offset(lost: LostCloud) -> Figures:
-    sensor = None if lost.robot is None else lost.robot.sensors.get(lost.frame_id)
-    if sensor is None:
+    robot = lost.robot
+    sensor = None if robot is None else robot.sensors.get(lost.frame_id)
+    if robot is None or sensor is None:
         return NOTHING
     if sensor.offset_ns:
         ahead = sensor.offset_ns * 1e-9
+        if abs(ahead - (lost.cloud.cloud.stamp_ns - robot.clock.newest_ns) * 1e-9) > CLOCK_S:
+            return Figures(f"it moved by {abs(ahead):.1f} s against the robot's")  # from where is not known
         return Figures(f"it is {abs(ahead):.1f} s {'ahead' if ahead > 0 else 'behind'}", lost.one_clock(ahead))
     if sensor.same:
         text = f"{sensor.same + 1} clouds in a row have one stamp"
@@ -167,31 +178,34 @@ def _uncertain(lost: LostCloud) -> Figures:
     cap = _capped(lost, known=known is not None)
     widest, highest = m.max_horizontal_radius, m.max_vertical_sigma
     limits = f"map.max_horizontal_radius = {widest:g}", f"map.max_vertical_sigma = {highest:g}"
+    widest = math.inf if m.error_model == "point" else widest
     across, up = k * sqrt(max(c[0], c[1], 0.0)), sqrt(max(c[2], 0.0))
-    if across > widest and m.error_model != "point":
+    if across > widest:
         text = f"{k:g} sigma = {across:.2f} m, {limits[0]}; the pose covariance alone is larger"
         return Figures(text, f"{cap}, or raise the limit")
     if up > highest:
         text = f"sigma z = {up:.2f} m, {limits[1]}; the pose covariance alone is larger"
         return Figures(text, f"{cap}, or raise the limit")
     s = lost.sensor
-    own = s.range_sigma**2
     mount = s.mount_sigma
-    across = sqrt((across / k) ** 2 + own + max(mount[0], mount[1]) ** 2)
-    up = sqrt(up**2 + own + mount[2] ** 2)
-    heading = sqrt(max(c[5], 0.0) + s.beam_sigma**2 + mount[5] ** 2)
-    tilt = sqrt(max(c[3], c[4], 0.0) + s.beam_sigma**2 + max(mount[3], mount[4]) ** 2)
+    across = math.hypot(across / k, s.range_sigma, max(mount[0], mount[1]))
+    up = math.hypot(up, s.range_sigma, mount[2])
+    heading = math.hypot(sqrt(max(c[5], 0.0)), s.beam_sigma, mount[5])
+    tilt = math.hypot(sqrt(max(c[3], c[4], 0.0)), s.beam_sigma, max(mount[3], mount[4]))
     ranges = _reach(widest / k, across, heading), _reach(highest, up, tilt)
     which = int(ranges[1] < ranges[0])
+    errors = f"check range_sigma, beam_sigma and mount_sigma in {lost.table}"
+    if ranges[which] == 0.0:
+        of = (f"{k:g} sigma = {k * across:.2f} m", f"sigma z = {up:.2f} m")[which]
+        return Figures(f"{of} with range_sigma and mount_sigma, {limits[which]}", errors)
     if not math.isfinite(ranges[which]):
         return NOTHING
     text = (
         f"beyond {ranges[which]:.1f} m they are over {limits[which]}: sigma of the {('heading', 'tilt')[which]} "
         f"is {(heading, tilt)[which]:.3g} rad"
     )
-    errors = f"check range_sigma, beam_sigma and mount_sigma in {lost.table}"
     of_pose = c[5] if which == 0 else max(c[3], c[4])
-    return Figures(text, cap if of_pose > (heading, tilt)[which] ** 2 / 2.0 else errors)
+    return Figures(text, cap if 2.0 * of_pose > (heading, tilt)[which] * (heading, tilt)[which] else errors)
 
 
 def _capped(lost: LostCloud, *, known: bool) -> str:
@@ -238,6 +252,7 @@ FINDERS: dict[tuple[str, str], Callable[[LostCloud], Figures]] = {
     ("cloud", "no_pose"): _no_pose,
     ("cloud", "late"): _late,
     ("cloud", "clock_offset"): _clock_offset,
+    ("cloud", "time_form"): lambda lost: Figures(lost.seen),
     ("cloud", "pose_gap"): _pose_gap,
     ("cloud", "pose_jump"): _pose_jump,
     ("cloud", "too_many_tiles"): _too_many_tiles,

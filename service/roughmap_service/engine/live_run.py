@@ -18,7 +18,6 @@ from roughmap_schemas import (
     Receipt,
     Refusal,
     ResetEvent,
-    SensorTimeEvent,
     encode_event,
 )
 from roughmap_service.engine.figures import LostCloud
@@ -32,7 +31,7 @@ from roughmap_service.journal.recorder import Recorder
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.run.inbox import Arrival, Proposal
 from roughmap_service.run.odometry_clock import Verdict
-from roughmap_service.run.run import Run
+from roughmap_service.run.run import NoTimes, Run
 from roughmap_service.run.view import View
 from roughmap_service.store.memory_limit import MemoryLimit
 
@@ -64,6 +63,7 @@ class LiveRun:
         self._robots = set(run.robots)
         self._notices = Notices(counters, streams, run.robots, self._robots)
         self._checkpoint_sequence = 0
+        self._unclear: dict[tuple[str, str], str] = {}
 
     def accept(self, message: InputMessage, now: float) -> int | None:
         """Check a message, log it and apply it. Return its input number.
@@ -128,7 +128,9 @@ class LiveRun:
         came = None if arrival.resumed else arrival.at
         self._counters.cloud(str(event.outcome), event.accepted, rejected, came, seconds)
         cloud, robot = proposal.cloud, self.run.robots.get(event.robot)
-        lost = LostCloud(cloud, event, robot, self.run.settings, self.run.map, now - arrival.at)
+        lost = LostCloud(
+            cloud, event, robot, self.run.settings, self.run.map, now - arrival.at, self._unclear.get(cloud.sensor, "")
+        )
         frame_id = cloud.cloud.frame_id
         self._streams.cloud(event.robot, frame_id, str(event.outcome), event.accepted, rejected, lost.figures)
         self._publish_event(encode_event(event))
@@ -179,7 +181,9 @@ class LiveRun:
     def _find_times(self, now: float) -> None:
         """Log how the times of waiting clouds are read, once it is known."""
         for found in self.run.find_times(now):
-            if isinstance(found, SensorTimeEvent):
+            if isinstance(found, NoTimes):
+                self._unclear[found.robot, found.frame_id] = found.seen
+            else:
                 self._log(found)
                 self.run.read_times(found)
                 self._publish_event(encode_event(found))
@@ -212,6 +216,8 @@ class LiveRun:
         if message.reply is None:
             if duplicate:
                 self._counters.refuse(Refusal.DUPLICATE)
+                text = "they are in the log already"
+                self._streams.refused(message.robot, message.kind.value, Refusal.DUPLICATE, text)
             return
         receipt = Receipt(input=number, epoch=self.run.epoch, durable=True, duplicate=duplicate)
         reply = message.reply

@@ -24,7 +24,7 @@ WAIT: Final = 8
 that came instead was another publisher's. Where so many in a row belonged to one count, there is no need to wait."""
 
 RECENT: Final = 32
-"""A count that so many messages of the kind did not belong to has no gaps."""
+"""A count that so many messages of the kind did not belong to has no losses."""
 
 
 @dataclass(eq=False, slots=True)

@@ -78,7 +78,10 @@ class Robot:
         if verdict is Verdict.REPEAT:
             frozen = self.clock.count_repeat(number)
             return OdometryTaken([PoseReason.FROZEN if frozen else PoseReason.DUPLICATE], verdict)
-        pose, why, unestimated = self._pose(odometry, number)
+        # After a clock went back, transforms' stamps say nothing: the last one holds.
+        back = odometry.stamp_ns <= self.clock.newest_ns and self.clock.taken >= BELIEVED
+        last = back and not self.clock.two_sources and not self.clock.anew_from
+        pose, why, unestimated = self._pose(odometry, number, last=last)
         one = Held(odometry.stamp_ns, number, pose)
         if verdict is Verdict.HOLD:
             given_up = self.clock.hold(one)
@@ -174,8 +177,11 @@ class Robot:
         self.clock.newest_ns = self.buffer.poses[-1].stamp_ns
         return OdometryTaken([reason])
 
-    def _pose(self, odometry: Odometry, number: int) -> tuple[Pose | PoseReason, str, bool]:
-        """Return the pose in the map frame or why there is none, what is wrong, and whether some was not estimated."""
+    def _pose(self, odometry: Odometry, number: int, *, last: bool = False) -> tuple[Pose | PoseReason, str, bool]:
+        """Return the pose in the map frame or why there is none, what is wrong, and whether some was not estimated.
+
+        ``last``: by the transform that came last, whatever its stamp.
+        """
         s = self.settings
         covariance, why, unestimated = odometry.covariance, "", False
         fault = odometry.covariance_fault
@@ -192,7 +198,10 @@ class Robot:
             if fault:
                 return PoseReason.BAD_COVARIANCE, why, False
             return Pose(odometry.stamp_ns, position, rotation, covariance, number, 0), "", unestimated
-        transform = self.transforms.find(odometry.frame_id, odometry.stamp_ns, oldest=s.rules > 1)
+        if last:
+            transform = self.transforms.last(odometry.frame_id)
+        else:
+            transform = self.transforms.find(odometry.frame_id, odometry.stamp_ns, oldest=s.rules > 1)
         if transform is None:
             return PoseReason.POSE_FRAME, f"no transform leads from frame {odometry.frame_id!r} to the map's", False
         turn = rotation_matrix(transform.rotation)
