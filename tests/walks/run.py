@@ -14,12 +14,13 @@ from pathlib import Path
 
 import walks_paths  # noqa: F401 - before what it makes importable
 from walk_faults import FAULTS
+from walk_paste import pasted, try_pasted
 from walk_report import as_json, findings, table
-from walk_trial import Batch, draw, served
+from walk_trial import draw, walk_all
 
 LIMIT_S = 10.0
-TOGETHER = 8
-"""Robots that walk at the same time."""
+LANE_M = 15.0
+"""Between two robots' ways."""
 
 
 def main() -> int:
@@ -33,16 +34,14 @@ def main() -> int:
     print(f"seed {seed}: again with ARGS='--seed {seed}'", file=sys.stderr)
     names = asked.only or list(FAULTS)
     folder = Path(tempfile.mkdtemp(prefix="roughmap-walks-"))
-    walks = []
-    with served(folder, names) as (service, endpoint, session):
-        for first in range(0, len(names), TOGETHER):
-            batch = [draw(name, seed, 15.0 * lane) for lane, name in enumerate(names[first : first + TOGETHER])]
-            print(f"{', '.join(walk.name for walk in batch)} ...", file=sys.stderr, flush=True)
-            Batch(service, endpoint, session, batch).go(LIMIT_S)
-            walks += batch
-        code = service.stop()
+    walks = [draw(name, seed, LANE_M * lane) for lane, name in enumerate(names)]
+    say = lambda text: print(f"{text} ...", file=sys.stderr, flush=True)  # noqa: E731
+    walk_all(folder / "first", walks, LIMIT_S, say)
+    if advised := pasted(walks):
+        say(f"with doctor's settings: {', '.join(walk.name for walk in advised)}")
+        try_pasted(folder / "pasted", advised, LIMIT_S)
     print(table(walks, LIMIT_S))
-    found = findings(walks, LIMIT_S) + ([] if code == 0 else [f"the service ended with {code}"])
+    found = findings(walks, LIMIT_S)
     if asked.json is not None:
         asked.json.write_text(json.dumps({"seed": seed, "walks": as_json(walks), "found": found}, indent=2))
     for line in found:

@@ -26,6 +26,7 @@ class Names:
     ``log``: "event" or "event reason" of a log line, then words of its text. ``health``: the sentence in `problems`.
     ``doctor``: the text of a finding; ``advice``: its remedy and settings; by ``verdict``. ``count``: what the status
     counts instead of a log line, such as "poses ahead". ``of_sensor``: the subject is the sensor, else the robot.
+    ``time_offset``: the right one, wherever one is advised.
     """
 
     log: tuple[str, str] | None = None
@@ -35,6 +36,7 @@ class Names:
     verdict: Literal["ok", "note", "wrong"] = "wrong"
     count: str = ""
     of_sensor: bool = True
+    time_offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Fault:
 class FaultKind:
     """A kind of fault: how it is drawn, when it begins, the robot's settings, what the robot's scanners must be like.
 
-    ``costs``: subjects that may be problems beside the named one: "robot", "sensors", both or none.
+    ``costs``: "sensors" if they may be problems too. ``ends``: whether the problem ends soon after the fault.
     """
 
     title: str
@@ -60,6 +62,7 @@ class FaultKind:
     settings: Mapping[str, Any] = field(default_factory=dict)
     timed: bool | None = None
     costs: str = ""
+    ends: bool = True
 
 
 def _odometry(change: Callable[[Message], list[Message]]) -> Effect:
@@ -174,6 +177,7 @@ def sensor_ahead(random: Random) -> Fault:
         health=offset,
         doctor=rf"clouds in '{_frame(sensor)}' are stamped 37\.0 s ahead of the odometry.*TAI",
         advice=rf"{_table(sensor)}\ntime_offset = -37\.0$",
+        time_offset=-37.0,
     )
     return Fault(_clouds(sensor, lambda m: [m.later(37.0)]), names, sensor, sensor)
 
@@ -184,7 +188,7 @@ def sensor_behind(random: Random) -> Fault:
     names = Names(
         log=("stream_lost (late|no_pose|clock_offset)", offset), health=offset,
         doctor=rf"clouds in '{_frame(sensor)}' are stamped 1[12]\.\d+ s behind the odometry",
-        advice=rf"{_table(sensor)}\ntime_offset = 1[12]\.\d+$",
+        advice=rf"{_table(sensor)}\ntime_offset = 1[12]\.\d+$", time_offset=12.0,
     )  # fmt: skip
     return Fault(_clouds(sensor, lambda m: [m.later(-12.0)]), names, sensor, sensor)
 
@@ -205,7 +209,7 @@ def sensor_leaps(random: Random) -> Fault:
     offset = rf"time_offset = {'-' if step > 0 else ''}\d\.\d in {_table(sensor)}"
     names = Names(
         log=("stream_lost (clock_offset|no_pose)", offset), health=offset,
-        doctor=rf"clouds in '{_frame(sensor)}' (leapt ahead|went back)",
+        doctor=rf"clouds in '{_frame(sensor)}' (leapt ahead|went back)", time_offset=-step,
     )  # fmt: skip
     return Fault(_clouds(sensor, lambda m: [m.later(step)]), names, f"{sensor} by {step:+.2f} s", sensor)
 
@@ -455,9 +459,7 @@ def excluded(random: Random) -> Fault:
         log=("stream_lost self", rf"check exclude in {_table(sensor)}"), health="exclude",
         doctor=rf"{_frame(sensor)}.*exclude|rejected as self",
     )  # fmt: skip
-    return Fault(
-        _clouds(sensor, lambda m: [replace(m, points=m.points * np.float32(share))]), names, sensor, sensor
-    )
+    return Fault(_clouds(sensor, lambda m: [replace(m, points=m.points * np.float32(share))]), names, sensor, sensor)
 
 
 def losses(random: Random) -> Fault:
@@ -474,8 +476,8 @@ def none(random: Random) -> Fault:
 
 
 FAULTS: dict[str, FaultKind] = {
-    "clock_back": FaultKind("a robot's clock steps back", clock_back, "meanwhile"),
-    "clock_forward": FaultKind("a robot's clock steps forward", clock_forward, "meanwhile"),
+    "clock_back": FaultKind("a robot's clock steps back", clock_back, "meanwhile", costs="sensors"),
+    "clock_forward": FaultKind("a robot's clock steps forward", clock_forward, "meanwhile", costs="sensors"),
     "stamps_unset": FaultKind("stamps are not set", stamps_unset, costs="sensors"),
     "odometry_frozen": FaultKind("odometry has one stamp", odometry_frozen, costs="sensors"),
     "cloud_frozen": FaultKind("a sensor's clouds have one stamp", cloud_frozen),
@@ -499,7 +501,7 @@ FAULTS: dict[str, FaultKind] = {
     "covariance_unknown": FaultKind("covariance is not estimated", covariance_unknown),
     "times_unclear": FaultKind("points' times from 0 to 1", times_unclear),
     "times_change": FaultKind("points' times take another form", times_change, timed=True),
-    "unknown_frame": FaultKind("a sensor's frame is not configured", unknown_frame),
+    "unknown_frame": FaultKind("a sensor's frame is not configured", unknown_frame, ends=False),
     "equal_points": FaultKind("a thousand equal points", equal_points),
     "too_many_tiles": FaultKind("cells too small for the range", too_many_tiles),
     "millimetres": FaultKind(

@@ -6,13 +6,16 @@ from typing import Any
 import walks_paths  # noqa: F401 - before what it makes importable
 from walk_trial import Walk
 
-WHO = ("log", "health", "doctor", "ended")
+WHO = ("log", "health", "doctor", "ended", "pasted")
 
 
 def cell(walk: Walk, who: str, limit: float) -> str:
-    """"yes 1.2", "NO", or "-" where it need not be named."""
+    """ "yes 1.2", "NO", or "-" where it need not be named."""
     names = walk.fault.names
-    asked = {"log": names.log or names.count, "health": names.health, "doctor": names.doctor, "ended": names.health}
+    asked = {
+        "log": names.log or names.count, "health": names.health, "doctor": names.doctor,
+        "ended": names.health and walk.kind.ends, "pasted": "pasted" in walk.told.said,
+    }  # fmt: skip
     if not asked[who]:
         return "-"
     seconds = getattr(walk.told, who)
@@ -24,10 +27,10 @@ def cell(walk: Walk, who: str, limit: float) -> str:
 def table(walks: Sequence[Walk], limit: float) -> str:
     """A row for each fault: who named it after how many seconds, and when its problem ended."""
     rows = [("fault", "drawn", *WHO)]
-    for walk in walks:
-        rows.append((walk.kind.title, walk.fault.told, *(cell(walk, who, limit) for who in WHO)))
+    rows += [(walk.kind.title, walk.fault.told, *(cell(walk, who, limit) for who in WHO)) for walk in walks]
     widths = [max(len(row[n]) for row in rows) for n in range(len(rows[0]))]
-    return "\n".join("  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows)
+    lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in rows]
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def findings(walks: Sequence[Walk], limit: float) -> list[str]:

@@ -22,8 +22,8 @@ import walks_paths  # noqa: F401 - before what it makes importable
 import zenoh
 from net import WAIT_S, peer_config
 from processes import COMMAND, Service, environment
-from walk_faults import FAULTS, MAP_SETTINGS, Fault
-from walker import SENSORS, Message, S, Walker
+from walk_faults import FAULTS, MAP_SETTINGS, Fault, FaultKind, Names
+from walker import SENSORS, Message, Walker
 
 from roughmap_client import RoughMapClient
 from roughmap_schemas import IntegrationEvent, MapStatus, decode_event
@@ -41,10 +41,13 @@ LISTEN_S = 6.0
 SEEN_S = 1.5
 """Seconds that doctor has listened when a fault begins of which it must see the beginning."""
 
+TOGETHER = 8
+"""Robots that walk at the same time."""
+
 POLL_S = 0.2
 
-LIVES: Callable[[], int] = time.time_ns
-"""Stamps are those of the wall clock."""
+NEAR_S = 0.5
+"""How far a time_offset may be from the right one, with latencies of a tenth of a second on a busy machine."""
 
 
 @dataclass
@@ -56,6 +59,10 @@ class Told:
     doctor: float | None = None
     ended: float | None = None
     """When the health was well again, after the fault's end."""
+    pasted: float | None = None
+    """When all was mapped by another service, with the settings that doctor gave."""
+    settings: str = ""
+    """These settings."""
     wrong: list[str] = field(default_factory=list)
     """What else was told, and must not be."""
     said: dict[str, str] = field(default_factory=dict)
@@ -77,7 +84,7 @@ class Walk:
     integrated: Counter[str] = field(default_factory=Counter)
 
     @property
-    def kind(self) -> Any:
+    def kind(self) -> FaultKind:
         return FAULTS[self.name]
 
     @property
@@ -97,12 +104,12 @@ class Walk:
 
     def missing(self) -> list[str]:
         """Who has not named it."""
-        names, told = self.fault.names, self.told
+        names, told, walk_ends = self.fault.names, self.told, self.kind.ends
         who = {
             "log": (names.log or names.count) and told.log is None,
             "health": names.health and told.health is None,
             "doctor": names.doctor and told.doctor is None,
-            "end": names.health and told.ended is None,
+            "end": names.health and walk_ends and told.ended is None,
         }
         return [one for one, lacks in who.items() if lacks]
 
@@ -127,7 +134,7 @@ class Sender(threading.Thread):
         """Most seconds that a message was sent too late: this machine's own."""
 
     def run(self) -> None:
-        born_ns, born = LIVES(), time.monotonic()
+        born_ns, born = time.time_ns(), time.monotonic()
         streams = [self._stream(walk, born_ns) for walk in self._walks]
         for due, walk, message in heapq.merge(*streams, key=lambda sent: sent[0]):
             left = born + due - time.monotonic()
@@ -306,7 +313,7 @@ class Batch:
         if line.get("level") != "info":
             walk.told.said.setdefault("log", f"{line.get('event')} {line.get('reason')}: {line['message']}")
         said = f"{line.get('event')} {line.get('reason', '')}".strip()
-        if re.match(rf"{head}( |$)", said) and re.search(words, line["message"]):
+        if re.match(rf"{head}( |$)", said) and named(walk.fault.names, words, line["message"]):
             walk.told.log = datetime.fromisoformat(line["time"]).timestamp() - walk.begun
             walk.told.said["log"] = line["message"]
 
@@ -318,7 +325,7 @@ class Batch:
             if walk.on and names.count and told.log is None and counted(status, self._first_counts, names.count):
                 told.log, told.said["log"] = now - walk.begun, f"counted as {names.count}"
             if walk.on and sentence:
-                if names.health and told.health is None and re.search(names.health, sentence):
+                if names.health and told.health is None and named(names, names.health, sentence):
                     told.health, told.said["health"] = now - walk.begun, sentence
                 told.said.setdefault("health", sentence)
             mine = {s: t for s, t in status.problems.items() if s == walk.robot or s.startswith(f"{walk.robot} ")}
@@ -346,19 +353,25 @@ class Batch:
             mine = [f for f in doctor.findings if f["area"] == walk.name or f["area"].startswith(walk.robot)]
             wrong = [f for f in mine if f["verdict"] == "wrong"]
             for finding in mine:
-                advice = f"{finding['remedy']}\n{finding.get('settings', '')}".strip()
+                advice = f"{finding['remedy']}\n{finding['settings']}".strip()
                 strict = finding["verdict"] == names.verdict or finding["verdict"] == "wrong"
-                if names.doctor and strict and re.search(names.doctor, finding["text"]) and (
-                    re.search(names.advice, advice)
-                ):  # fmt: skip
+                said = re.search(names.doctor, finding["text"])
+                if names.doctor and strict and said and named(names, names.advice, advice):
                     walk.told.doctor = doctor.done - max(walk.begun, doctor.listens)
                     walk.told.said["doctor"] = f"{finding['text']} -> {advice}"
+                    walk.told.settings = finding["settings"]
                     break
             else:
-                texts = [f"{f['verdict']} {f['area']}: {f['text']} -> {f['remedy']} {f.get('settings', '')}" for f in mine]
-                walk.told.said["doctor"] = "\n        ".join(texts)
+                texts = [f"{f['verdict']} {f['area']}: {f['text']} -> {f['remedy']} {f['settings']}" for f in mine]
+                walk.told.said["doctor"] = "; ".join(texts)
             if not names.doctor and wrong:
                 walk.told.wrong += [f"doctor: {finding['text']}" for finding in wrong]
+
+
+def named(names: Names, words: str, text: str) -> bool:
+    """Whether a text has the words, and the right time_offset if it has any."""
+    offsets = [float(number) for number in re.findall(r"time_offset = (-?[\d.]+\d)", text)]
+    return bool(re.search(words, text)) and all(abs(one - names.time_offset) < NEAR_S for one in offsets)
 
 
 def counted(status: MapStatus, before: MapStatus, what: str) -> bool:
@@ -369,13 +382,20 @@ def counted(status: MapStatus, before: MapStatus, what: str) -> bool:
 
 
 @contextmanager
-def served(folder: Path, names: Sequence[str]) -> Iterator[tuple[Service, str, zenoh.Session]]:
-    """A service for robots with these faults, and a session with it."""
+def connected_to(starting: Service) -> Iterator[tuple[Service, str, zenoh.Session]]:
+    """A service once it is ready, its endpoint and a session with it."""
     with ExitStack() as stack:
-        service = stack.enter_context(Service(folder, **settings(names)))
+        service = stack.enter_context(starting)
         (endpoint,) = service.ready()["endpoints"]
         session = stack.enter_context(zenoh.open(peer_config(connect=[endpoint])))
         yield service, endpoint, session
 
 
-assert S
+def walk_all(folder: Path, walks: Sequence[Walk], limit: float, say: Callable[[str], None]) -> None:
+    """Let the robots walk, `TOGETHER` at a time, beside one service; wait ``limit`` s for each to be named."""
+    with connected_to(Service(folder, **settings([walk.name for walk in walks]))) as (service, endpoint, session):
+        for first in range(0, len(walks), TOGETHER):
+            batch = walks[first : first + TOGETHER]
+            say(", ".join(walk.name for walk in batch))
+            Batch(service, endpoint, session, batch).go(limit)
+        assert service.stop() == 0, service.err[-3:]

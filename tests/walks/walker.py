@@ -143,9 +143,7 @@ class Walker:
             yield made + self.odometry_latency, message
             number += 1
 
-    def _clouds(
-        self, scanner: Scanner, born_ns: int, noise: np.random.Generator
-    ) -> Iterator[tuple[float, Message]]:
+    def _clouds(self, scanner: Scanner, born_ns: int, noise: np.random.Generator) -> Iterator[tuple[float, Message]]:
         number = 0
         while True:
             made = 0.2 + number / scanner.hz
