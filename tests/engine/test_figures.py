@@ -97,7 +97,8 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
         ["two of them are 0.6 s apart", "input.max_pose_gap = 0.5 s"],
     ),
     "slow poses": (
-        {}, {"pose_period": 0.6, "seconds": 4.0}, ["s behind after 0.5 s; publish its poses sooner or more often"],
+        {}, {"pose_period": 0.6, "seconds": 4.0},
+        ["the robot's poses are 0.6 s apart (input.max_pose_gap = 0.5); publish poses more often"],
     ),
     "no frame": (
         {}, {"frame": "/map"},

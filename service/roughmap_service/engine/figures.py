@@ -86,6 +86,8 @@ def _no_pose(lost: LostCloud) -> Figures:
     robot, cloud = lost.robot, lost.cloud
     if robot is None or not robot.buffer.poses:
         return Figures("no pose of the robot has been taken yet")
+    if slow := _slow_odometry(robot, lost.settings):
+        return slow
     first, newest = robot.buffer.poses[0].stamp_ns, robot.buffer.poses[-1].stamp_ns
     if cloud.last_ns <= newest:
         if cloud.first_ns >= first:
@@ -100,6 +102,17 @@ def _no_pose(lost: LostCloud) -> Figures:
         return Figures(text, "publish its poses sooner or more often, or raise input.max_wait")
     late = f"; raise input.max_wait if its poses come {ahead:.1f} s late" if ahead < LATE_S else ""
     return Figures(text, lost.one_clock(ahead) + late)
+
+
+def _slow_odometry(robot: Robot, settings: Settings) -> Figures | None:
+    """Return the figures of odometry that is held, since its stamps are too far apart; None if it is not."""
+    stamps = [robot.clock.newest_ns, *(one.stamp_ns for one in robot.clock.held)]
+    steps = [after - before for before, after in pairwise(stamps)]
+    if not steps or not settings.max_pose_gap_ns < min(steps) <= settings.history_ns:
+        return None
+    limit = f"input.max_pose_gap = {settings.max_pose_gap_ns * 1e-9:g}"
+    text = f"the robot's poses are {min(steps) * 1e-9:.2g} s apart ({limit})"
+    return Figures(text, "publish poses more often, or raise input.max_pose_gap and input.max_wait", certain=True)
 
 
 def _late(lost: LostCloud) -> Figures:

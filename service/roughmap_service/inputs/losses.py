@@ -8,7 +8,8 @@ from typing import Final, NamedTuple
 from roughmap_schemas.reasons import INTEGRATED, CloudReason, PointReason
 
 ROW: Final = 10
-"""A stream is lost when its last ten messages ended badly the same way, and works again after ten good ones."""
+"""A stream is lost when its last ten messages ended badly the same way, and works again after ten good ones, or once
+none of the ten ended that way and most of them well."""
 
 WINDOW: Final = 5
 """Seconds over which a stream is lost too if `SHARE` of at least `FEWEST` messages ended badly, whichever way."""
@@ -87,14 +88,14 @@ class Losses:
         self._count(outcome)
         causes = {each.cause for each in self.last}
         full = len(self.last) == ROW
-        if causes == {None}:
-            if full and self.lost is not None:
-                self.lost = None
-                self._seconds.clear()
-        elif full and len(causes) == 1:
+        bad = [each.cause for each in self.last if each.cause is not None]
+        if self.lost is not None and self.lost not in causes and full and 2 * len(bad) < ROW:
+            self.lost = None
+            self._seconds.clear()
+        elif bad and full and len(causes) == 1:
             self.lost = outcome.cause
-        elif (self.lost is None and self._mostly_bad(outcome.at)) or (self.lost and self.lost not in causes):
-            self.lost = Counter(each.cause for each in self.last if each.cause is not None).most_common(1)[0][0]
+        elif (self.lost is None and bad and self._mostly_bad(outcome.at)) or (self.lost and self.lost not in causes):
+            self.lost = Counter(bad).most_common(1)[0][0]
 
     def silent(self, now: float) -> bool:
         """Whether nothing has come for so long that the stream counts as ended, at monotonic time ``now`` (s)."""

@@ -20,10 +20,14 @@ so that their sensor is not known, and all that a robot sends if none of it may 
 
 
 class Figures(NamedTuple):
-    """Figures of a loss, such as "the newest pose is 37.0 s behind", and a better remedy than the usual one."""
+    """Figures of a loss, such as "the newest pose is 37.0 s behind", and a better remedy than the usual one.
+
+    ``certain``: they name the cause, whatever else may be known of the sender.
+    """
 
     text: str = ""
     remedy: str = ""
+    certain: bool = False
 
 
 @dataclass(frozen=True)

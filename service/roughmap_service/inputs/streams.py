@@ -41,8 +41,8 @@ MAX_NAME: Final = 256
 MAX_REMARKS: Final = 8
 """Standing facts about one subject."""
 
-STOPPED: Final = 2.0
-"""Seconds without odometry after which it counts as stopped."""
+STOPPED: Final = 1.0
+"""Seconds without odometry after which it counts as stopped, and a cloud so far ahead says nothing about clocks."""
 
 RENEWED: Final = 30.0
 """Seconds after which the figures of a standing problem are taken anew."""
@@ -212,7 +212,7 @@ class Streams:
 
     def _sentence(self, subject: Subject, kind: str, lost: Cause, losses: Losses, figures: FindFigures) -> str:
         found = figures() if losses.last[-1].cause == lost else Figures()  # of another loss they would mislead
-        if lost == ("cloud", "no_pose"):
+        if lost == ("cloud", "no_pose") and not found.certain:
             found = self._without_poses(subject.robot, losses.last[-1].at) or found
         return sentence(self._config, subject, lost, losses.last, found, kind)
 
