@@ -281,7 +281,7 @@ FINDERS: dict[tuple[str, str], Callable[[LostCloud], Figures]] = {
 def pose_figures(reason: str | None, odometry: Odometry, robot: Robot, why: str = "") -> Figures:
     """Return the figures of an odometry that gave no pose; ``why`` as in `OdometryTaken`."""
     ahead = (odometry.stamp_ns - robot.clock.newest_ns) * 1e-9
-    if reason == PoseReason.POSE_FRAME:
+    if reason == PoseReason.POSE_FRAME and not why:
         known = ", ".join(f'"{frame}"' for frame in list(robot.transforms.rows)[:KNOWN_FRAMES])
         known = f"transforms are known from {known}" if known else "no transform is known"
         text = f'their frame is "{odometry.frame_id}"; {known}'
