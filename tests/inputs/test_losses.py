@@ -29,10 +29,9 @@ def by_definition(history: list[Outcome]) -> Cause | None:
         bad = sum(o.cause is not None for o in window)
         covered = bool(window) and now - window[0].at >= WINDOW
         most = Counter(cause for cause in last if cause is not None).most_common(1)
-        if len(last) == ROW and not most:
-            restored_at = end if lost is not None else restored_at
-            lost = None
-        elif len(last) == ROW and len(set(last)) == 1:
+        if lost is not None and len(last) == ROW and lost not in last and 2 * (ROW - last.count(None)) < ROW:
+            restored_at, lost = end, None
+        elif most and len(last) == ROW and len(set(last)) == 1:
             lost = last[0]
         elif most and ((lost is None and covered and len(window) >= FEWEST and bad >= SHARE * len(window)) or (
             lost is not None and lost not in last
@@ -95,6 +94,12 @@ def test_another_cause_takes_the_place_of_the_first() -> None:
     losses = fed([LATE] * 20, 0.1)
     assert fed([GAP] * 5, 0.1, losses, 2.0).lost == LATE
     assert fed([GAP] * 5, 0.1, losses, 2.5).lost == GAP
+
+
+def test_one_other_loss_among_good_messages_is_no_new_cause() -> None:
+    losses = fed([LATE] * 60, 0.1)
+    assert fed([None, GAP, *[None] * 7], 0.1, losses, 6.0).lost == LATE
+    assert fed([None], 0.1, losses, 6.9).lost is None
 
 
 def test_after_a_silence_it_begins_anew_and_a_slow_one_may_pause_longer() -> None:

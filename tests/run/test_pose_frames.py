@@ -143,9 +143,20 @@ def test_after_a_clock_went_back_each_frame_keeps_its_last_transform() -> None:
         r.take_odometry(odometry(SECOND + 100 + k), 20 + k, 0)
     kept = {child: [(t.stamp_ns, t.input) for t in row] for child, row in r.transforms.rows.items()}
     assert kept == {"odom": [(0, 3)], "mast": [(0, 4)]}
-    assert [p.transform for p in r.buffer.poses] == [1, 1, 1], "they were placed as they came, under the clock before"
+    assert [p.transform for p in r.buffer.poses] == [3, 3, 3], "not by where the frame was then"
     assert add(r, odometry(SECOND + 104), 30) is None
     assert r.buffer.poses[-1].transform == 3
+
+
+def test_wild_stamps_do_not_bring_the_last_transform_back() -> None:
+    """What is late, or wild, is placed by the transform of its time once it counts."""
+    r = robot()
+    for number, stamp in ((1, 100), (2, 200)):
+        r.add_transform(transform(SECOND + stamp, 0.01 * number), number)
+    assert add(r, odometry(2 * SECOND), 10) is None
+    for k in range(3):  # the first one was wild
+        r.take_odometry(odometry(SECOND + 150 + k), 20 + k, 0)
+    assert [p.transform for p in r.buffer.poses] == [1, 1, 1]
 
 
 def test_numbers_that_overflow_are_no_pose() -> None:

@@ -14,8 +14,8 @@ import numpy as np
 from roughmap import RoughMap
 from roughmap.cell import TILE_CELLS
 from roughmap_schemas import IntegrationEvent, Odometry, PoseReason, SensorConfig
+from roughmap_service.inputs.losses import cloud_cause
 from roughmap_service.inputs.remedies import Figures, robot_table, sensor_table
-from roughmap_service.inputs.streams import cloud_cause
 from roughmap_service.run.inbox import LoggedCloud
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.robot import Robot
@@ -26,6 +26,9 @@ NOTHING = Figures()
 CLOCK_S = 1.0
 """Seconds between a cloud's stamp and the newest pose from which on different clocks are likelier than slow poses."""
 
+LATE_S = 10.0
+"""Seconds by which a localisation may be late, at most."""
+
 LOOKED_AT = 2000
 """Points of a cloud that are looked at."""
 
@@ -35,7 +38,8 @@ KNOWN_FRAMES = 5
 
 @dataclass(frozen=True)
 class LostCloud:
-    """A decided cloud, and what decided it: its robot (None if it never sent a pose) and how long it waited, in s."""
+    """A decided cloud, and what decided it: its robot (None if it never sent a pose), how long it waited in s, and what
+    was seen of its points' times if their meaning is unclear."""
 
     cloud: LoggedCloud
     event: IntegrationEvent
@@ -43,6 +47,7 @@ class LostCloud:
     settings: Settings
     map: RoughMap
     waited: float
+    seen: str = ""
 
     def figures(self) -> Figures:
         """Return the figures of the cause that the cloud is counted under."""
@@ -81,6 +86,8 @@ def _no_pose(lost: LostCloud) -> Figures:
     robot, cloud = lost.robot, lost.cloud
     if robot is None or not robot.buffer.poses:
         return Figures("no pose of the robot has been taken yet")
+    if slow := _slow_odometry(robot, lost.settings):
+        return slow
     first, newest = robot.buffer.poses[0].stamp_ns, robot.buffer.poses[-1].stamp_ns
     if cloud.last_ns <= newest:
         if cloud.first_ns >= first:
@@ -91,7 +98,21 @@ def _no_pose(lost: LostCloud) -> Figures:
     # Poses went on while the cloud waited.
     ahead = behind + lost.waited
     text = text or f"the newest pose is {ahead:.1f} s behind"
-    return Figures(text, lost.one_clock(ahead) if ahead > lost.settings.max_wait + CLOCK_S else "")
+    if ahead <= lost.settings.max_wait + CLOCK_S:
+        return Figures(text, "publish its poses sooner or more often, or raise input.max_wait")
+    late = f"; raise input.max_wait if its poses come {ahead:.1f} s late" if ahead < LATE_S else ""
+    return Figures(text, lost.one_clock(ahead) + late)
+
+
+def _slow_odometry(robot: Robot, settings: Settings) -> Figures | None:
+    """Return the figures of odometry that is held, since its stamps are too far apart; None if it is not."""
+    stamps = [robot.clock.newest_ns, *(one.stamp_ns for one in robot.clock.held)]
+    steps = [after - before for before, after in pairwise(stamps)]
+    if not steps or not settings.max_pose_gap_ns < min(steps) <= settings.history_ns:
+        return None
+    limit = f"input.max_pose_gap = {settings.max_pose_gap_ns * 1e-9:g}"
+    text = f"the robot's poses are {min(steps) * 1e-9:.2g} s apart ({limit})"
+    return Figures(text, "publish poses more often, or raise input.max_pose_gap and input.max_wait", certain=True)
 
 
 def _late(lost: LostCloud) -> Figures:
@@ -104,11 +125,14 @@ def _late(lost: LostCloud) -> Figures:
 
 
 def _clock_offset(lost: LostCloud) -> Figures:
-    sensor = None if lost.robot is None else lost.robot.sensors.get(lost.frame_id)
-    if sensor is None:
+    robot = lost.robot
+    sensor = None if robot is None else robot.sensors.get(lost.frame_id)
+    if robot is None or sensor is None:
         return NOTHING
     if sensor.offset_ns:
         ahead = sensor.offset_ns * 1e-9
+        if abs(ahead - (lost.cloud.cloud.stamp_ns - robot.clock.newest_ns) * 1e-9) > CLOCK_S:
+            return Figures(f"it moved by {abs(ahead):.1f} s against the robot's")  # from where is not known
         return Figures(f"it is {abs(ahead):.1f} s {'ahead' if ahead > 0 else 'behind'}", lost.one_clock(ahead))
     if sensor.same:
         text = f"{sensor.same + 1} clouds in a row have one stamp"
@@ -143,42 +167,60 @@ def _too_many_tiles(lost: LostCloud) -> Figures:
 
 
 def _uncertain(lost: LostCloud) -> Figures:
-    m, k = lost.settings.config.map, lost.settings.config.map.coverage
     if lost.sensor is None:
         return Figures("their points have input.placed_sigma", "lower input.placed_sigma")
     poses = lost.poses()
     if not poses:
         return NOTHING
     known = poses[-1].covariance
-    c = (lost.settings.pose_covariance if known is None else known).diagonal()
+    variances = (lost.settings.pose_covariance if known is None else known).diagonal().tolist()
     cap = _capped(lost, known=known is not None)
+    return _uncertain_pose(lost, variances, cap) or _uncertain_far(lost, lost.sensor, variances, cap)
+
+
+def _limits(lost: LostCloud) -> tuple[tuple[float, str], tuple[float, str]]:
+    """Return the limits on a point's error, across and up, in m, and how to show them."""
+    m = lost.settings.config.map
     widest, highest = m.max_horizontal_radius, m.max_vertical_sigma
-    limits = f"map.max_horizontal_radius = {widest:g}", f"map.max_vertical_sigma = {highest:g}"
-    across, up = k * sqrt(max(c[0], c[1], 0.0)), sqrt(max(c[2], 0.0))
-    if across > widest and m.error_model != "point":
-        text = f"{k:g} sigma = {across:.2f} m, {limits[0]}; the pose covariance alone is larger"
-        return Figures(text, f"{cap}, or raise the limit")
-    if up > highest:
-        text = f"sigma z = {up:.2f} m, {limits[1]}; the pose covariance alone is larger"
-        return Figures(text, f"{cap}, or raise the limit")
-    s = lost.sensor
-    own = s.range_sigma**2
-    mount = s.mount_sigma
-    across = sqrt((across / k) ** 2 + own + max(mount[0], mount[1]) ** 2)
-    up = sqrt(up**2 + own + mount[2] ** 2)
-    heading = sqrt(max(c[5], 0.0) + s.beam_sigma**2 + mount[5] ** 2)
-    tilt = sqrt(max(c[3], c[4], 0.0) + s.beam_sigma**2 + max(mount[3], mount[4]) ** 2)
-    ranges = _reach(widest / k, across, heading), _reach(highest, up, tilt)
-    which = int(ranges[1] < ranges[0])
-    if not math.isfinite(ranges[which]):
-        return NOTHING
-    text = (
-        f"beyond {ranges[which]:.1f} m they are over {limits[which]}: sigma of the {('heading', 'tilt')[which]} "
-        f"is {(heading, tilt)[which]:.3g} rad"
-    )
+    shown = f"map.max_horizontal_radius = {widest:g}", f"map.max_vertical_sigma = {highest:g}"
+    return (math.inf if m.error_model == "point" else widest, shown[0]), (highest, shown[1])
+
+
+def _uncertain_pose(lost: LostCloud, variances: Sequence[float], cap: str) -> Figures | None:
+    """Return the figures if the pose, with these ``variances`` (6,), is too uncertain by itself; else None."""
+    k, (widest, highest) = lost.settings.config.map.coverage, _limits(lost)
+    across, up = k * sqrt(max(variances[0], variances[1], 0.0)), sqrt(max(variances[2], 0.0))
+    if across > widest[0]:
+        text = f"{k:g} sigma = {across:.2f} m, {widest[1]}; the pose covariance alone is larger"
+    elif up > highest[0]:
+        text = f"sigma z = {up:.2f} m, {highest[1]}; the pose covariance alone is larger"
+    else:
+        return None
+    return Figures(text, f"{cap}, or raise the limit")
+
+
+def _uncertain_far(lost: LostCloud, sensor: SensorConfig, variances: Sequence[float], cap: str) -> Figures:
+    """Return from which distance on points are too uncertain: errors of angles grow with it."""
+    k, (widest, highest) = lost.settings.config.map.coverage, _limits(lost)
+    mount = sensor.mount_sigma
+    across = math.hypot(sqrt(max(variances[0], variances[1], 0.0)), sensor.range_sigma, max(mount[0], mount[1]))
+    up = math.hypot(sqrt(max(variances[2], 0.0)), sensor.range_sigma, mount[2])
+    heading = math.hypot(sqrt(max(variances[5], 0.0)), sensor.beam_sigma, mount[5])
+    tilt = math.hypot(sqrt(max(variances[3], variances[4], 0.0)), sensor.beam_sigma, max(mount[3], mount[4]))
+    ranges = _reach(widest[0] / k, across, heading), _reach(highest[0], up, tilt)
     errors = f"check range_sigma, beam_sigma and mount_sigma in {lost.table}"
-    of_pose = c[5] if which == 0 else max(c[3], c[4])
-    return Figures(text, cap if of_pose > (heading, tilt)[which] ** 2 / 2.0 else errors)
+    if ranges[1] < ranges[0]:
+        nearest, name, angle, limit, of_pose = ranges[1], "tilt", tilt, highest[1], max(variances[3], variances[4])
+        beside = f"sigma z = {up:.2f} m"
+    else:
+        nearest, name, angle, limit, of_pose = ranges[0], "heading", heading, widest[1], variances[5]
+        beside = f"{k:g} sigma = {k * across:.2f} m"
+    if nearest == 0.0:
+        return Figures(f"{beside} with range_sigma and mount_sigma, {limit}", errors)
+    if not math.isfinite(nearest):
+        return NOTHING
+    text = f"beyond {nearest:.1f} m they are over {limit}: sigma of the {name} is {angle:.3g} rad"
+    return Figures(text, cap if 2.0 * of_pose > angle * angle else errors)
 
 
 def _capped(lost: LostCloud, *, known: bool) -> str:
@@ -225,6 +267,7 @@ FINDERS: dict[tuple[str, str], Callable[[LostCloud], Figures]] = {
     ("cloud", "no_pose"): _no_pose,
     ("cloud", "late"): _late,
     ("cloud", "clock_offset"): _clock_offset,
+    ("cloud", "time_form"): lambda lost: Figures(lost.seen),
     ("cloud", "pose_gap"): _pose_gap,
     ("cloud", "pose_jump"): _pose_jump,
     ("cloud", "too_many_tiles"): _too_many_tiles,
@@ -238,7 +281,7 @@ FINDERS: dict[tuple[str, str], Callable[[LostCloud], Figures]] = {
 def pose_figures(reason: str | None, odometry: Odometry, robot: Robot, why: str = "") -> Figures:
     """Return the figures of an odometry that gave no pose; ``why`` as in `OdometryTaken`."""
     ahead = (odometry.stamp_ns - robot.clock.newest_ns) * 1e-9
-    if reason == PoseReason.POSE_FRAME:
+    if reason == PoseReason.POSE_FRAME and not why:
         known = ", ".join(f'"{frame}"' for frame in list(robot.transforms.rows)[:KNOWN_FRAMES])
         known = f"transforms are known from {known}" if known else "no transform is known"
         text = f'their frame is "{odometry.frame_id}"; {known}'

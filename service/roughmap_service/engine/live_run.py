@@ -18,7 +18,6 @@ from roughmap_schemas import (
     Receipt,
     Refusal,
     ResetEvent,
-    SensorTimeEvent,
     encode_event,
 )
 from roughmap_service.engine.figures import LostCloud
@@ -30,9 +29,9 @@ from roughmap_service.inputs.streams import Streams
 from roughmap_service.journal.items import Sync
 from roughmap_service.journal.recorder import Recorder
 from roughmap_service.journal.writer import LogWriter
-from roughmap_service.run.inbox import Arrival, Proposal
+from roughmap_service.run.inbox import Arrival, LoggedCloud, Proposal
 from roughmap_service.run.odometry_clock import Verdict
-from roughmap_service.run.run import Run
+from roughmap_service.run.run import NoTimes, Run
 from roughmap_service.run.view import View
 from roughmap_service.store.memory_limit import MemoryLimit
 
@@ -64,6 +63,7 @@ class LiveRun:
         self._robots = set(run.robots)
         self._notices = Notices(counters, streams, run.robots, self._robots)
         self._checkpoint_sequence = 0
+        self._unclear: dict[tuple[str, str], str] = {}
 
     def accept(self, message: InputMessage, now: float) -> int | None:
         """Check a message, log it and apply it. Return its input number.
@@ -123,14 +123,7 @@ class LiveRun:
         self._memory.relieve(self.view.reading)  # before the map is held: it may write to the disk
         begun = time.monotonic()
         event = self._integrate(proposal)
-        seconds, arrival = time.monotonic() - begun, proposal.cloud.arrival
-        rejected = {str(reason): n for reason, n in event.rejected.items()}
-        came = None if arrival.resumed else arrival.at
-        self._counters.cloud(str(event.outcome), event.accepted, rejected, came, seconds)
-        cloud, robot = proposal.cloud, self.run.robots.get(event.robot)
-        lost = LostCloud(cloud, event, robot, self.run.settings, self.run.map, now - arrival.at)
-        frame_id = cloud.cloud.frame_id
-        self._streams.cloud(event.robot, frame_id, str(event.outcome), event.accepted, rejected, lost.figures)
+        self._tell(proposal.cloud, event, now, time.monotonic() - begun)
         self._publish_event(encode_event(event))
         return event
 
@@ -179,7 +172,9 @@ class LiveRun:
     def _find_times(self, now: float) -> None:
         """Log how the times of waiting clouds are read, once it is known."""
         for found in self.run.find_times(now):
-            if isinstance(found, SensorTimeEvent):
+            if isinstance(found, NoTimes):
+                self._unclear[found.robot, found.frame_id] = found.seen
+            else:
                 self._log(found)
                 self.run.read_times(found)
                 self._publish_event(encode_event(found))
@@ -203,6 +198,16 @@ class LiveRun:
             logger.error("input %d: not enough memory to place its cloud", event.input)
         return event
 
+    def _tell(self, cloud: LoggedCloud, event: IntegrationEvent, now: float, seconds: float) -> None:
+        """Count a decided cloud whose integration took ``seconds``, and tell if its sensor's clouds come to nothing."""
+        arrival, rejected = cloud.arrival, {str(reason): n for reason, n in event.rejected.items()}
+        came = None if arrival.resumed else arrival.at
+        self._counters.cloud(str(event.outcome), event.accepted, rejected, came, seconds)
+        run, unclear = self.run, self._unclear.get(cloud.sensor, "")
+        lost = LostCloud(cloud, event, run.robots.get(event.robot), run.settings, run.map, now - arrival.at, unclear)
+        frame_id = cloud.cloud.frame_id
+        self._streams.cloud(event.robot, frame_id, str(event.outcome), event.accepted, rejected, lost.figures)
+
     def _log(self, event: Event) -> None:
         self.run.record += 1
         self._recorder.event(event, time.time_ns())
@@ -212,6 +217,8 @@ class LiveRun:
         if message.reply is None:
             if duplicate:
                 self._counters.refuse(Refusal.DUPLICATE)
+                text = "they are in the log already"
+                self._streams.refused(message.robot, message.kind.value, Refusal.DUPLICATE, text)
             return
         receipt = Receipt(input=number, epoch=self.run.epoch, durable=True, duplicate=duplicate)
         reply = message.reply

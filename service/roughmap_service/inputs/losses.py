@@ -1,12 +1,15 @@
-"""When a stream of messages counts as lost: a pure function of what became of its last messages, and when."""
+"""When a cloud and a stream of messages count as lost: pure functions of what became of them, and when."""
 
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+from roughmap_schemas.reasons import INTEGRATED, CloudReason, PointReason
+
 ROW: Final = 10
-"""A stream is lost when its last ten messages ended badly the same way, and works again after ten good ones."""
+"""A stream is lost when its last ten messages ended badly the same way, and works again after ten good ones, or once
+none of the ten ended that way and most of them well."""
 
 WINDOW: Final = 5
 """Seconds over which a stream is lost too if `SHARE` of at least `FEWEST` messages ended badly, whichever way."""
@@ -19,6 +22,9 @@ SILENT: Final = 60.0
 
 FORGOTTEN: Final = 600.0
 """The same for a stream of which only one message is known, and the most for any: scanners may take minutes."""
+
+NO_ECHO: Final = (PointReason.NO_RETURN, PointReason.NOT_FINITE, PointReason.DUPLICATE_RETURN)
+"""Reasons of points where nothing came back. Under an open sky most are like that, and nothing is lost with them."""
 
 
 class Cause(NamedTuple):
@@ -38,6 +44,21 @@ class Outcome(NamedTuple):
     cause: Cause | None
     accepted: int = 0
     rejected: Mapping[str, int] = {}
+
+
+def cloud_cause(outcome: str, accepted: int, rejected: Mapping[str, int]) -> Cause | None:
+    """Return how a decided cloud ended badly: not in the map, or without nearly all of its points; None if it is well.
+
+    Points where nothing came back don't count, unless there are no others.
+    """
+    if outcome != INTEGRATED and not (outcome == CloudReason.EMPTY and rejected):
+        return Cause("cloud", str(outcome))
+    others = {reason: number for reason, number in rejected.items() if reason not in NO_ECHO}
+    counts = others if others or accepted else rejected
+    lost = sum(counts.values())
+    if lost and lost >= SHARE * (lost + accepted):
+        return Cause("point", str(max(counts, key=lambda reason: counts[reason])))
+    return None
 
 
 class _Second:
@@ -67,14 +88,14 @@ class Losses:
         self._count(outcome)
         causes = {each.cause for each in self.last}
         full = len(self.last) == ROW
-        if causes == {None}:
-            if full and self.lost is not None:
-                self.lost = None
-                self._seconds.clear()
-        elif full and len(causes) == 1:
+        bad = [each.cause for each in self.last if each.cause is not None]
+        if self.lost is not None and self.lost not in causes and full and 2 * len(bad) < ROW:
+            self.lost = None
+            self._seconds.clear()
+        elif bad and full and len(causes) == 1:
             self.lost = outcome.cause
-        elif (self.lost is None and self._mostly_bad(outcome.at)) or (self.lost and self.lost not in causes):
-            self.lost = Counter(each.cause for each in self.last if each.cause is not None).most_common(1)[0][0]
+        elif (self.lost is None and bad and self._mostly_bad(outcome.at)) or (self.lost and self.lost not in causes):
+            self.lost = Counter(bad).most_common(1)[0][0]
 
     def silent(self, now: float) -> bool:
         """Whether nothing has come for so long that the stream counts as ended, at monotonic time ``now`` (s)."""

@@ -208,11 +208,13 @@ class SensorClock:
         if self.usual_ns is None:
             if self.integrated >= SETTLED:
                 self.usual_ns = later_ns
+            elif self.offset_ns and -NOTICE_NS <= later_ns <= LIMIT_NS:
+                self._agree()  # it fell back from a wrong time to the right one
             return
         sooner = self.usual_ns - later_ns
         self.late_ns = -sooner if sooner < -NOTICE_NS else 0
         if abs(sooner) <= NOTICE_NS:
-            self.offset_ns = self.ahead = 0
+            self._agree()
         elif sooner > 0:
             self.ahead += 1
             # Clouds that queued on their way come sooner once the queue is empty, but never before the odometry.
@@ -220,6 +222,12 @@ class SensorClock:
                 self.offset_ns = sooner
         else:
             self.ahead = 0
+
+    def _agree(self) -> None:
+        """The clock agrees with the robot's: stamps from when it did not are forgotten."""
+        if self.offset_ns:
+            self.confirmed_ns, self.leapt = -1, 0
+        self.offset_ns = self.ahead = self.row = 0
 
     def to_state(self) -> dict[str, Any]:
         """Return everything as JSON values."""

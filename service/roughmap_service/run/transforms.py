@@ -53,6 +53,10 @@ class Transforms:
             return row[0] if row and oldest else None
         return row[before - 1]
 
+    def last(self, frame_id: str) -> StampedTransform | None:
+        """Return a frame's transform that came last; None if there is none."""
+        return max(self.rows.get(frame_id, []), key=lambda t: t.input, default=None)
+
     def keep_last(self) -> None:
         """Keep of each frame only what came last, for all times: the clock that the stamps are of is gone."""
         for frame_id, row in self.rows.items():
