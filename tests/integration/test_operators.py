@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import zenoh
 from net import Gathered
-from processes import GROUND, LEVEL, PRECISE, T0, Feed, S, Service, connected, events_in, replay, running
+from processes import GROUND, LEVEL, PRECISE, T0, Feed, Service, connected, events_in, replay, running
 
 from roughmap_client import QueryRefused, Tile
 from roughmap_client.session import ask
