@@ -29,6 +29,7 @@ from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.recovery import Recovered, blank
 from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.queue import InputMessage
+from roughmap_service.inputs.streams import Streams
 from roughmap_service.journal.file import open_new
 from roughmap_service.journal.items import Rotate
 from roughmap_service.journal.recorder import Recorder
@@ -136,8 +137,9 @@ class LoggedRun:
         memory = MemoryLimit(1 << 50, shelf)
         self.published: list[bytes] = []
         self.counters = Counters()
+        self.streams = Streams(self.config)
         self.live = LiveRun(
-            self.run, self.view, self.writer, self.recorder, self.counters, memory, self.published.append
+            self.run, self.view, self.writer, self.recorder, self.counters, memory, self.streams, self.published.append
         )
         self.run.resume(0.0)
 

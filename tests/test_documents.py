@@ -15,6 +15,7 @@ from roughmap_schemas.layers import LAYERS
 from roughmap_service.cli.health import WORKS
 from roughmap_service.cli.serve import SWITCH_SECONDS
 from roughmap_service.host import counters, disk
+from roughmap_service.inputs import losses
 from roughmap_service.journal import writer as log_writer
 from roughmap_service.store import snapshots
 from roughmap_service.watch import readiness
@@ -60,6 +61,9 @@ def settings() -> dict[str, Any]:
         ("OPERATIONS.md", "problem", "`log_not_writable`", log_writer.RETRY_SECONDS, "s"),
         ("OPERATIONS.md", "problem", "`snapshot_failed`", snapshots.HANG_SECONDS, "s"),
         ("OPERATIONS.md", "problem", "`sequencer_stalled`", readiness.STALLED_SECONDS, "s"),
+        ("OPERATIONS.md", "problem", "`input_lost`", losses.WINDOW, "s"),
+        ("OPERATIONS.md", "problem", "`input_lost`", losses.SILENT, "s"),
+        ("OPERATIONS.md", "problem", "`input_lost`", 100 * losses.SHARE, "%"),
         ("OPERATIONS.md", "problem", "`overloaded`", counters.OVERLOAD_SECONDS, "s"),
         ("OPERATIONS.md", "resource", "memory of the map", SLOT_BYTES / 2**10, "KiB"),
         ("OPERATIONS.md", "resource", "a map larger than memory", CELL_DTYPE.itemsize, "bytes"),
@@ -71,7 +75,7 @@ def settings() -> dict[str, Any]:
 )
 def test_a_rows_figure_is_the_codes(name: str, head: str, row: str, value: float, unit: str) -> None:
     (cells,) = [cells for cells in rows(name, head) if cells[0].startswith(row)]
-    assert re.search(rf"(?<![\d.]){value:g} {unit}\b", " ".join(cells[1:]))
+    assert re.search(rf"(?<![\d.]){value:g} {unit}(?!\w)", " ".join(cells[1:]))
 
 
 @pytest.mark.parametrize("name", PAGES)

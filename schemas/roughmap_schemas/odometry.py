@@ -32,7 +32,8 @@ class Odometry:
 
     ``position`` in metres, ``rotation`` a unit quaternion x, y, z, w. ``covariance`` (6, 6) float64, order x y z roll
     pitch yaw about the parent frame's axes, metres and radians; None if the message has none (empty or all zero).
-    ``covariance_fault``: the message has an invalid one, and ``covariance`` is None.
+    ``covariance_fault``: the message has no symmetric matrix of finite numbers, and ``covariance`` is None. Variances
+    may be negative: -1 means that there is no estimate.
     """
 
     stamp_ns: int
@@ -67,9 +68,9 @@ def _covariance(given: Any) -> tuple[NDArray[np.float64] | None, bool]:
     matrix = np.array(given, np.float64).reshape(6, 6)
     if not matrix.any():
         return None, False
-    variances = [float(value) for value in matrix.diagonal()]
-    if not np.isfinite(matrix).all() or min(variances) < 0.0:
+    if not np.isfinite(matrix).all():
         return None, True
+    variances = [abs(float(value)) for value in matrix.diagonal()]
     for row in range(6):
         for column in range(row + 1, 6):
             upper, lower = float(matrix[row, column]), float(matrix[column, row])

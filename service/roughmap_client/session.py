@@ -135,6 +135,7 @@ def ask(
             zenoh.handlers.Callback(take, ended.set),
             target=zenoh.QueryTarget.ALL_COMPLETE,
             consolidation=zenoh.ConsolidationMode.NONE,
+            congestion_control=zenoh.CongestionControl.BLOCK,
             timeout=timeout,
             payload=payload,
             encoding=encoding,

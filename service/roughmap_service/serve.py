@@ -37,6 +37,7 @@ from roughmap_service.http.server import HttpServer
 from roughmap_service.inputs.queue import InputQueue
 from roughmap_service.inputs.receipts import ReceiptSender
 from roughmap_service.inputs.session import bound_messages, check_exposure, claim, endpoints, open_session, zenoh_config
+from roughmap_service.inputs.streams import Streams
 from roughmap_service.inputs.subscriptions import ZenohInputs
 from roughmap_service.journal.recorder import Recorder
 from roughmap_service.journal.writer import LogWriter
@@ -154,6 +155,7 @@ class Service:
         self._run.epoch = recovered.epoch
         self._view = View(self._run.map, recovered.epoch)
         self._counters = Counters(config.input.max_wait)
+        self._streams = Streams(config)
         self._ending = Ending(config.service.shutdown_timeout)
         self._stack = ExitStack()
         self._log_is_whole = self._sequencer_ended = True
@@ -230,7 +232,9 @@ class Service:
         self._resets = ResetHistory(config.map.max_tiles)
         events = stack.enter_context(EventPublisher(self._session, self._keys))
         recorder = Recorder(writer, self._keys)
-        live = LiveRun(self._run, self._view, writer, recorder, self._counters, self._memory, events.publish)
+        live = LiveRun(
+            self._run, self._view, writer, recorder, self._counters, self._memory, self._streams, events.publish
+        )
         intervals = Intervals(config.log.checkpoint_interval, config.store.snapshot_interval)
         self._sequencer = Sequencer(
             live, self._queue, writer, self._memory, intervals, self._take_snapshot, self._resets.note
@@ -254,7 +258,7 @@ class Service:
     def _start_answers(self, stack: ExitStack) -> None:
         config, view, keys, served = self._config, self._view, self._keys, self._served
         self._parts = RunningParts(
-            self._sequencer, self._writer, self._queue, self._snapshots, self._memory, self._counters
+            self._sequencer, self._writer, self._queue, self._snapshots, self._memory, self._counters, self._streams
         )
         self._status = Status(view, self._counters, config, served, version("roughmap"), self._progress)
         control = Control(self._sequencer, self._snapshots, self._take_snapshot)
@@ -276,13 +280,18 @@ class Service:
             newest_stamp_ns=self._run.newest_stamp_ns,
             waiting=len(self._run.clouds),
             problems=self._parts.problems(),
+            lost=self._streams.problems(),
             log=LogState(file=str(self._writer.path), bytes=self._writer.size, ok=self._writer.ok),
         )
 
     def _let_messages_in(self, stack: ExitStack) -> None:
         stack.callback(self._queue.close)  # after the subscribers are gone; refuses further messages
         limit = self._config.input.max_message
-        stack.enter_context(ZenohInputs(self._session, self._keys, self._queue, self._receipts, limit, self._counters))
+        stack.enter_context(
+            ZenohInputs(
+                self._session, self._keys, self._queue, self._receipts, limit, self._counters, self._streams
+            )
+        )  # fmt: skip
 
     def _show(self, stack: ExitStack) -> None:
         connect_pages(self._parts, self._answers, self._sources, self._status, self._config)

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -121,3 +122,69 @@ def test_rejected_points_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[
     code, out, _ = build(["points.npz", "-o", "map.db"], capsys)
     assert code == 0
     assert "9 of 10 points integrated; rejected: 1 not_finite" in out
+
+
+def test_no_data_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.xyz").write_text("100.5 200.5 55.3\n101.5 200.5 -9999\n102.5 200.5 nan\n103.5 200.5 55.2\n")
+    code, out, err = build(["a.xyz", "-o", "map.db", "--json"], capsys)
+    assert (code, err) == (0, "")
+    report = json.loads(out)
+    assert (report["points"], report["accepted"]) == (4, 2)
+    assert report["rejected"] == {"no_data": 1, "not_finite": 1}
+    by_hand = RoughMap()
+    by_hand.add(np.array([[100.5, 200.5, 55.3], [103.5, 200.5, 55.2]]), np.eye(3) * (0.02 * 0.02), 0)
+    assert report["digest"] == by_hand.digest()
+
+
+def test_only_no_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.xyz").write_text("100.5 200.5 -9999\n")
+    code, out, _ = build(["a.xyz", "-o", "map.db"], capsys)
+    assert code == 0
+    assert "0 of 1 points integrated; rejected: 1 no_data" in out
+
+
+def test_survey_coordinates_are_printed_in_full(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.xyz").write_text("698362.12 5949119.37 55.0\n698364.12 5949121.37 55.0\n")
+    code, out, err = build(["a.xyz", "-o", "map.db"], capsys)
+    assert (code, err) == (0, "")
+    assert "tiles from x 698361.6 to 698368 m, y 5949113.6 to 5949126.4 m" in out
+
+
+@pytest.mark.parametrize(
+    ("points", "said"),
+    [
+        (RNG.uniform((698362, 5949119, 55), (698372, 5949129, 56), (99, 3)).astype(np.float32), "too coarse for cells"),
+        (RNG.uniform((-93.36, 41.57, 16), (-93.35, 41.58, 17), (99, 3)), "looks like degrees"),
+    ],
+)
+@pytest.mark.parametrize("scans", [False, True], ids=["points", "poses"])
+def test_doubts_are_said_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], points: npt.NDArray[np.floating], said: str, scans: bool
+) -> None:
+    arrays: dict[str, npt.NDArray[np.generic]] = {"points": points}
+    if scans:
+        pose = np.tile(np.eye(4, dtype=points.dtype), (99, 1, 1))
+        pose[:, :3, 3] = points
+        arrays = {"points": np.ones((99, 3)), "scan_start": np.arange(100), "pose": pose}
+    np.savez(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
+    code, out, err = build(["a.npz", "-o", "map.db", "--range-sigma", "0.02", "--json"], capsys)
+    assert code == 0
+    (warning,) = json.loads(out)["warnings"]
+    assert said in warning
+    assert err == f"roughmap: warning: {warning}\n"
+
+
+def test_a_bad_line_or_pose_leaves_the_old_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.savez(tmp_path / "good.npz", points=np.ones((4, 3)))
+    assert build(["good.npz", "-o", "map.db"], capsys)[0] == 0
+    before = stored(tmp_path / "map.db")
+    (tmp_path / "bad.xyz").write_text("1 2 3\n" * 70_000 + "end of file\n")
+    pose = np.tile(np.diag([1.0, -1.0, 1.0, 1.0]), (2, 1, 1))
+    pose[0] = np.eye(4)
+    np.savez(tmp_path / "bad.npz", points=np.ones((4, 3)), scan_start=[0, 2, 4], pose=pose)
+    for name, said in (("bad.xyz", "bad.xyz, line 70001: 'end'"), ("bad.npz", "pose 1 (counted from 0): ")):
+        code, out, err = build(["good.npz", name, "-o", "map.db", "--force", "--range-sigma", "0.02"], capsys)
+        assert (code, out) == (2, "")
+        assert said in err
+        assert err.count("\n") == 1
+        assert stored(tmp_path / "map.db") == before

@@ -12,7 +12,8 @@ from served import Served
 
 from roughmap_schemas.messages import LogState
 from roughmap_service.cli.main import run
-from roughmap_service.watch.readiness import Problem, Readiness, Sources, health_of, running_problems
+from roughmap_service.inputs.streams import MAX_PROBLEMS
+from roughmap_service.watch.readiness import Problem, Readiness, Sources, health_of, running_problems, told
 from roughmap_service.watch.status import RunProgress
 
 TOKEN = "the token of this page"
@@ -28,7 +29,7 @@ def health(listen: str, *arguments: str) -> int:
 
 
 @pytest.mark.parametrize("problem", [None, *Problem])
-def test_an_overload_or_a_failed_snapshot_is_no_failure_and_all_else_is(
+def test_what_the_service_works_with_is_no_failure_and_all_else_is(
     problem: Problem | None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     readiness = Readiness()
@@ -36,7 +37,7 @@ def test_an_overload_or_a_failed_snapshot_is_no_failure_and_all_else_is(
     monkeypatch.setenv("ROUGHMAP_HTTP__TOKEN", TOKEN)
     with pages(Sources(readiness), token=TOKEN) as server:
         code = health(server.url.removeprefix("http://"))
-    assert code == (0 if problem in (None, Problem.OVERLOADED, Problem.SNAPSHOT_FAILED) else 1)
+    assert code == (0 if problem in (None, Problem.OVERLOADED, Problem.SNAPSHOT_FAILED, Problem.INPUT_LOST) else 1)
     assert capsys.readouterr().out == f"site: {problem}: for a cause\n" if problem else "site: ok\n"
 
 
@@ -68,25 +69,38 @@ def test_another_program_on_the_port_is_no_service(answer: bytes, capsys: pytest
     assert "roughmap service" in json.loads(capsys.readouterr().out)["problems"]["not_there"]
 
 
-@pytest.mark.parametrize(
-    ("problem", "code", "told"),
-    [
-        (None, 0, "ok"),
-        (Problem.OVERLOADED, 0, "overloaded"),
-        (Problem.SNAPSHOT_FAILED, 1, "degraded: the cause is in its log lines"),
-        (Problem.LOG_NOT_WRITABLE, 1, "log_not_writable: the log can't be written"),
-    ],
-)
-def test_over_zenoh_every_degraded_is_a_failure(
-    problem: Problem | None, code: int, told: str, capsys: pytest.CaptureFixture[str]
+LOST = {
+    "robot r1": "robot r1: none of its last 10 poses was taken: all have one stamp",
+    "robot r1 sensor os.lidar": "robot r1 sensor os.lidar: none of its last 10 clouds was mapped: they are late",
+}
+
+
+@pytest.mark.parametrize("problem", [None, *(p for p in Problem if p not in (Problem.STARTING, Problem.SHUTTING_DOWN))])
+def test_over_zenoh_it_says_what_the_page_says(
+    problem: Problem | None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The status has one word, and no cause."""
-    with Served() as served:
-        problems = [problem] if problem else []
-        served.progress = RunProgress(problems=problems, log=LogState(ok=problem is not Problem.LOG_NOT_WRITABLE))
-        listen = f'zenoh.listen=["{locators(served.server)[0]}"]'
-        assert health('""', "--set", listen) == code
-    assert capsys.readouterr().out.startswith(f"site: {told}")
+    """Two problems of the sequencer, which needs a restart either way, have one subject there."""
+    lost = LOST if problem is Problem.INPUT_LOST else {}
+    problems = {} if problem is None else {problem: "\n".join(lost.values()) or "a cause"}
+    readiness = Readiness()
+    readiness.become(lambda: problems)
+    monkeypatch.setenv("ROUGHMAP_HTTP__TOKEN", TOKEN)
+    with Served() as served, pages(Sources(readiness), token=TOKEN) as server:
+        served.progress = RunProgress(problems=problems, lost=lost, log=LogState())
+        by_page = health(server.url.removeprefix("http://"))
+        said = capsys.readouterr().out
+        assert health('""', "--set", f'zenoh.listen=["{locators(served.server)[0]}"]') == by_page
+    assert capsys.readouterr().out.replace("stalled", "dead") == said.replace("stalled", "dead")
+    assert len(said.splitlines()) == (2 if lost else 1)
+
+
+def test_a_status_lists_at_most_32_problems_those_of_the_service_first() -> None:
+    lost = {f"robot r{number}": "a sentence" for number in range(40)}
+    listed = told({Problem.OVERLOADED: "a cause", Problem.INPUT_LOST: "all"}, lost)
+    assert len(listed) == MAX_PROBLEMS == 32
+    assert list(listed)[:2] == ["overload", "robot r0"]
+    assert "10 more" in listed["others"]
+    assert told({}, {}) == {}
 
 
 def test_what_a_running_service_can_suffer_from() -> None:
@@ -110,6 +124,7 @@ def test_what_a_running_service_can_suffer_from() -> None:
     assert "a cause" in found(alive=False, failure=ValueError("a cause"))[Problem.SEQUENCER_DEAD]
     assert list(found(turned=float("-inf"))) == [Problem.SEQUENCER_STALLED]
     assert "map.db: no room" in found(store_ok=False, store_error="map.db: no room")[Problem.SNAPSHOT_FAILED]
+    assert found(lost=["one", "two"]) == {Problem.INPUT_LOST: "one\ntwo"}
     all_four = [Problem.LOG_NOT_WRITABLE, Problem.MEMORY_FULL, Problem.SNAPSHOT_FAILED, Problem.OVERLOADED]
     assert list(found(log_ok=False, memory_ok=False, store_ok=False, overloaded=True)) == all_four
 

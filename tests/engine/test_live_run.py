@@ -38,7 +38,7 @@ def test_an_event_is_on_its_way_to_the_log_before_anyone_can_see_what_it_did(tmp
         run.put(Kind.POINTS, cloud(1.0, frame="map"))
         held = Spied(lambda: told.append(("log", run.view._lock.locked())))
         live = LiveRun(
-            run.run, run.view, run.writer, held, Counters(), enough,
+            run.run, run.view, run.writer, held, Counters(), enough, run.streams,
             lambda _: told.append(("publish", run.view._lock.locked())),
         )  # fmt: skip
         assert live.decide(0.0)
@@ -80,7 +80,7 @@ def test_no_wait_ends_before_all_that_came_in_it_is_taken_up(tmp_path: Path) -> 
             if isinstance(event, IntegrationEvent):
                 decided(event)
 
-        live = LiveRun(run.run, run.view, run.writer, run.recorder, counters, enough, hear)
+        live = LiveRun(run.run, run.view, run.writer, run.recorder, counters, enough, run.streams, hear)
         sequencer = sequencer_of(live, intake, run.writer, enough)
         arrival = time.monotonic()
         messages = [(Kind.POINTS, cloud(1.0005 + TURN_MESSAGES * 1e-3))]

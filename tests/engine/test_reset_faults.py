@@ -39,7 +39,7 @@ class ResettableRun:
         memory = stack.enter_context(ample_memory(directory))
         self.sequencer = sequencer_of(self.run.live, intake, self.run.writer, memory, before_reset=before_reset)
         replies = stack.enter_context(ReceiptSender())
-        stack.enter_context(ZenohInputs(server, self.run.keys, intake, replies, 1 << 20, counters))
+        stack.enter_context(ZenohInputs(server, self.run.keys, intake, replies, 1 << 20, counters, self.run.streams))
         stack.callback(lambda: self.sequencer.stop(WAIT_S))
         self.sequencer.start()
         self.sequencer.call(lambda: None, WAIT_S)  # it begins with a checkpoint

@@ -87,7 +87,7 @@ class ReadRun:
         self.status = Status(run.view, counters, run.config, served, "1", RunProgress)
         self._taken = 0
         self._memory = MemoryLimit(1 << 20, spill, measure=lambda: self._taken)
-        live = LiveRun(run.run, run.view, run.writer, run.recorder, counters, self._memory, self._hear)
+        live = LiveRun(run.run, run.view, run.writer, run.recorder, counters, self._memory, run.streams, self._hear)
         self._sequencer = sequencer_of(live, self._intake, run.writer, self._memory)
         self._pool = stack.enter_context(ThreadPoolExecutor(4))
         stack.callback(lambda: self._sequencer.stop(WAIT_S))

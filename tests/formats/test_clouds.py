@@ -97,7 +97,7 @@ def test_text_in_its_many_forms(tmp_path: Path, content: str) -> None:
 
 
 def test_text_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(text, "PART_ROWS", 3)
+    monkeypatch.setattr(text, "BLOCK", 16)
     file = tmp_path / "points.xyz"
     file.write_text("x y z\n" + "".join(f"{k} {k} {k}\n" for k in range(7)))
     assert np.concatenate([part.points for part in read_cloud(file)])[:, 0].tolist() == list(range(7))
@@ -118,9 +118,10 @@ def test_an_empty_text_file_has_no_points(tmp_path: Path) -> None:
         ({"scan_start": np.array([0, 2, 6])}, "at most 5"),
         ({"scan_start": np.array([0.0, 2.0, 5.0])}, "integer scan starts"),
         ({"pose": np.zeros((2, 3, 4))}, "poses"),
-        ({"pose": np.full((2, 4, 4), np.nan)}, "expected finite poses"),
+        ({"pose": np.full((2, 4, 4), np.nan)}, "pose 0: nan in row 0"),
+        ({"pose": np.full((2, 4, 4), "a")}, "poses"),
         ({"stamp_s": np.array([1.0])}, "2 finite stamps"),
-        ({"stamp_s": np.array([1.0, -3.0])}, "expected stamps from 0"),
+        ({"stamp_s": np.array([1.0, -3.0])}, "expected seconds since the epoch"),
         ({"stamp_s": np.array([1.0, np.nan])}, "finite stamps"),
     ],
 )
@@ -137,8 +138,8 @@ def test_scans_that_are_none(tmp_path: Path, other: dict[str, object], said: str
         ("cloud.npz", b"not an archive", "not a readable NPZ"),
         ("cloud.npz", b"", "not a readable NPZ"),
         ("cloud.npz", b"PK\x03\x04 torn", "not a readable NPZ"),
-        ("cloud.csv", b"1 2\n", "at least 3 columns"),
-        ("cloud.csv", b"1 2 three\n", "three numbers per line"),
+        ("cloud.csv", b"1 2\n", "line 1: expected three numbers"),
+        ("cloud.csv", b"1 2 three\n", "line 1: 'three' is not a number"),
         ("cloud.bin", b"", "unknown file format"),
         ("cloud", b"", "no suffix"),
     ],

@@ -183,7 +183,13 @@ def corpus() -> dict[str, list[bytes]]:
             npz(points=points), npz(points=points, covariance=np.eye(3), stamp_ns=np.array(T0)),
             npz(points=points.astype(np.int32), scan_start=np.array([0, 2, 4]), pose=np.tile(np.eye(4), (2, 1, 1))),
         ],
-        "clouds_text": [b"x,y,z\n1,2,3\n4;5;6\n# no\n7 8 9 10\n", b"1\t2\t3\nnan inf 1e400\n"],
+        "clouds_text": [
+            b"x,y,z\n1,2,3\n4;5;6\n# no\n7 8 9 10\n",
+            b"1\t2\t3\nnan inf 1e400\n",
+            b"x;y;z;i\n1,5;-2,25;,5;7\n3;4;5;6\n",
+            b"//X Y Z R\n2\n1 2 3 4\n5 6 7 8\n1\n1 2 nan 4\n",
+            b'"E","N","H [m]"\n"1.5","2","3"\n1,,-9999\n',
+        ],
     }  # fmt: skip
 
 

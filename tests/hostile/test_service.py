@@ -194,11 +194,11 @@ def test_attachments_of_any_size(target: Target) -> None:
         middle = target.feed.settle()
         assert middle.poses.accepted == before.poses.accepted + 6
         assert middle.gaps == before.gaps
-        for number, told in enumerate([0, 2**64 - 1, 5, 2**63, 2**63 + 8]):
+        for number, told in enumerate([0, 2**64 - 1, 5, 2**63, *range(6, 14)]):
             pose = encode_odometry(T0 + (6 + number) * S // 10, "map", (0, 0, 0), (0, 0, 0, 1))
             target.feed.put("odometry", "bad", pose, attachment=told.to_bytes(8, "little"))
         after = target.feed.settle()
-        assert after.gaps == {**before.gaps, "bad": 7}
+        assert after.gaps == {**before.gaps, "bad": 4}
 
 
 def test_messages_that_claim_to_be_huge(target: Target) -> None:

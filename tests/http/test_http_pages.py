@@ -34,7 +34,7 @@ def test_readiness_names_what_is_wrong(problem: Problem) -> None:
     problems = {problem: "the cause"}
     with pages(sources_with(problems)) as server:
         status, headers, body = get(server, "/readyz")
-        ready = problem is Problem.SNAPSHOT_FAILED  # it takes in and answers all the same
+        ready = problem in (Problem.SNAPSHOT_FAILED, Problem.INPUT_LOST)  # it takes in and answers all the same
         assert status == (200 if ready else 503)
         assert headers["content-type"] == "application/json"
         assert json.loads(body) == {"ready": ready, "problems": {str(problem): "the cause"}}

@@ -183,7 +183,9 @@ def test_in_order_within_a_sensor_and_free_between_sensors_and_robots(patient: R
 
 def bulky(stamp_ns: int, size: int) -> bytes:
     """A cloud of about that many bytes."""
-    return encode_cloud(np.tile(np.float32(GROUND), (size // 12 // len(GROUND), 1)), stamp_ns, "lidar")
+    points = np.tile(np.float32(GROUND), (size // 12 // len(GROUND), 1))
+    points[:, 2] += np.linspace(0.0, 1e-3, len(points), dtype=np.float32)  # hundreds of equal points are no returns
+    return encode_cloud(points, stamp_ns, "lidar")
 
 
 def test_a_full_inbox_drops_the_oldest_published_cloud_of_who_holds_most(patient: Running) -> None:

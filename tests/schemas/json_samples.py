@@ -18,6 +18,7 @@ from roughmap_schemas import (
     Receipt,
     ResetEvent,
     RunMetadata,
+    SensorTimeEvent,
     TileInfo,
     UpdateRecord,
 )
@@ -37,6 +38,9 @@ INTEGRATION = IntegrationEvent(
 )
 CHECKPOINT = CheckpointEvent(epoch=2, sequence=4, digest=DIGEST)
 RESET = ResetEvent(epoch=3, sequence=5)
+SENSOR_TIME = SensorTimeEvent(
+    epoch=3, robot="r1", frame_id="os.lidar", field="time", unit="us", origin="end", sequence=5
+)
 
 TILE: dict[str, Any] = {
     "contract": "1.0",
@@ -84,6 +88,7 @@ STATUS: dict[str, Any] = {
     "refused": {"bad_message": 2, "unknown_sensor": 1},
     "gaps": {"r1": 4},
     "jumps": {"r1": 1},
+    "problems": {"robot r1": "robot r1: no pose was taken"},
     "lag_s": {"p50": 0.01, "p99": None},
     "rates": {"clouds": 10.0, "points": 1e6, "poses": 50.0},
     "memory_bytes": 1 << 28,
@@ -114,6 +119,7 @@ METADATA: dict[str, Any] = {
     "base_sequence": 0,
     "base_digest": DIGEST,
     "version": "0.1.0",
+    "rules": 2,
     "configuration": Config().public_dict(),
 }
 
@@ -139,4 +145,4 @@ SAMPLES: dict[str, BaseModel] = {
     "TileInfo": TileInfo(**TILE),
     "UpdateRecord": UpdateRecord(key="maps/site/updates/1/-3/4", info=TileInfo(**TILE)),
 }
-EVENTS = (INTEGRATION, CHECKPOINT, RESET)
+EVENTS = (INTEGRATION, CHECKPOINT, RESET, SENSOR_TIME)

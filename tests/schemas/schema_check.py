@@ -17,7 +17,7 @@ TYPES: dict[str, tuple[type, ...]] = {
 }
 CHECKED = {"$ref", "anyOf", "oneOf", "type", "enum", "const", "properties", "required", "additionalProperties"} | {
     *("propertyNames", "items", "prefixItems", "minItems", "maxItems", "minLength", "maxLength", "pattern"),
-    *("minimum", "maximum", "exclusiveMinimum", "patternProperties"),
+    *("minimum", "maximum", "exclusiveMinimum", "patternProperties", "maxProperties"),
 }
 
 
@@ -75,6 +75,7 @@ def simple(value: Any, schema: dict[str, Any]) -> list[tuple[str, bool]]:
         ("exclusiveMinimum", "exclusiveMinimum" in schema and number <= schema["exclusiveMinimum"]),
         ("minItems", length is not None and length < schema.get("minItems", 0)),
         ("maxItems", length is not None and length > schema.get("maxItems", math.inf)),
+        ("maxProperties", isinstance(value, dict) and len(value) > schema.get("maxProperties", math.inf)),
         ("minLength", text is not None and len(text) < schema.get("minLength", 0)),
         ("maxLength", text is not None and len(text) > schema.get("maxLength", math.inf)),
         ("pattern", text is not None and "pattern" in schema and not re.search(schema["pattern"], text)),

@@ -22,6 +22,7 @@ DEFAULTS = {
         "min_distance": 1e-3,
         "min_share": 0.05,
         "max_horizontal_radius": 0.5,
+        "max_vertical_sigma": 0.5,
         "height_tolerance": 0.05,
         "bounds": None,
         "levels": 8,
@@ -49,7 +50,8 @@ DEFAULTS = {
         "max_pose_gap": 0.5,
         "pose_history": 10.0,
         "max_speed": 30.0,
-        "max_turn": 20.0,
+        "max_leap": 0.3,
+        "max_acceleration": 20.0,
         "pose_sigma": (0.05, 0.05, 0.05, 0.01, 0.01, 0.01),
         "placed_sigma": 0.02,
         "max_points": 4_000_000,
@@ -100,6 +102,10 @@ SENSOR_DEFAULTS = {
     "max_range": INF,
     "ceiling": INF,
     "ceiling_slope": 0,
+    "time_field": "auto",
+    "time_unit": "auto",
+    "time_origin": "auto",
+    "time_offset": 0,
     "exclude": [],
 }
 
@@ -223,7 +229,7 @@ def test_a_sensor_must_say_how_far_it_is_to_be_believed() -> None:
         ),
         (
             {"robots": {"r1": {"sensor": {}}}},
-            "here.toml: robots.r1.sensor: unknown key, did you mean sensors? (allowed: sensors)",
+            "here.toml: robots.r1.sensor: unknown key, did you mean sensors? (allowed: pose_covariance, sensors)",
         ),
         ({"keys": {"tile": "a"}}, "here.toml: keys.tile: unknown (allowed: points, "),
         (
@@ -309,6 +315,7 @@ IDENTITY = {
     "min_distance": 2e-3,
     "min_share": 0.0,
     "max_horizontal_radius": 0.6,
+    "max_vertical_sigma": 0.6,
     "bounds": [0, 0, 1, 1],
 }
 OTHERS = [

@@ -143,18 +143,22 @@ def test_a_receipt_is_durable() -> None:
 
 
 def test_the_reasons_of_the_contract() -> None:
-    assert " ".join(PointReason) == "not_finite no_return time no_pose self range ceiling covariance uncertain bounds"
+    points = "not_finite no_return duplicate_return time no_pose self range ceiling covariance uncertain bounds"
+    assert " ".join(PointReason) == points
     assert set(CloudReason) == {
-        *("pose_gap", "pose_jump", "no_pose", "late", "too_many_tiles", "empty", "overload", "clock_reset")
+        *("pose_gap", "pose_jump", "no_pose", "late", "too_many_tiles", "empty", "overload", "clock_reset"),
+        *("clock_offset", "time_form"),
     }
-    assert set(PoseReason) == {"duplicate", "stale", "pose_frame", "bad_covariance"}
+    assert set(PoseReason) == {
+        *("duplicate", "stale", "ahead", "out_of_order", "frozen", "pose_frame", "bad_covariance")
+    }
     assert set(QueryCode) == {
         *("bad_key", "bad_level", "unknown_parameter", "bad_parameter", "unknown_layer", "bad_bbox", "too_large"),
         *("since_ahead", "busy", "shutting_down", "internal"),
     }
     refusals = {"bad_key", "bad_encoding", "bad_message", "too_large", "unknown_sensor", "unknown_robot", "busy"}
     # `duplicate` counts published messages that the log has already; it is never answered.
-    assert set(Refusal) == refusals | {"log_unavailable", "shutting_down", "duplicate"}
+    assert set(Refusal) == refusals | {"unset_stamp", "log_unavailable", "shutting_down", "duplicate"}
     for kind in (PointReason, CloudReason, PoseReason, Refusal):
         assert set(MEANING[kind]) == set(kind), "each is explained"
 
@@ -219,7 +223,13 @@ def test_a_runs_metadata_there_and_back() -> None:
     assert RunMetadata.from_record(without.to_record()) == without
 
 
-@pytest.mark.parametrize("name", RunMetadata.model_fields)
+def test_metadata_of_a_release_before_the_rules_had_a_number() -> None:
+    record = RunMetadata.model_validate(METADATA).to_record()
+    del record["rules"], record["checksum"]
+    assert RunMetadata.from_record(record).rules == 1
+
+
+@pytest.mark.parametrize("name", [name for name in RunMetadata.model_fields if name != "rules"])
 def test_metadata_that_lacks_an_entry_or_has_a_wrong_one(name: str) -> None:
     record = RunMetadata.model_validate(METADATA).to_record()
     with pytest.raises(BadJson, match=name):

@@ -145,7 +145,6 @@ def one_entry(row: int, column: int, value: float) -> np.ndarray:
         one_entry(2, 2, float("nan")),
         one_entry(0, 1, float("nan")),
         one_entry(3, 3, float("inf")),
-        one_entry(4, 4, -1e-12),
         one_entry(0, 1, 0.5),
         one_entry(5, 0, 1.1e-6),
     ],
@@ -155,6 +154,14 @@ def test_what_cannot_be_a_covariance(covariance: object) -> None:
     pose = read(covariance)
     assert pose.covariance_fault
     assert pose.covariance is None
+
+
+def test_a_negative_variance_is_left_to_the_rules_on_poses() -> None:
+    """It may mean that there is no estimate."""
+    pose = read(one_entry(4, 4, -1.0))
+    assert not pose.covariance_fault
+    assert pose.covariance is not None
+    assert pose.covariance[4, 4] == -1.0
 
 
 def test_symmetric_to_a_millionth() -> None:

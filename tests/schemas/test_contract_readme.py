@@ -102,7 +102,9 @@ def test_members_of_members() -> None:
     for member in ("x", "y", "i", "j", "state", "layers"):
         assert f"`{member}`" in entry
     for row, kind in zip(
-        table("kind"), (events.IntegrationEvent, events.CheckpointEvent, events.ResetEvent), strict=True
+        table("kind"),
+        (events.IntegrationEvent, events.CheckpointEvent, events.ResetEvent, events.SensorTimeEvent),
+        strict=True,
     ):
         assert set(kind.model_fields) - {"kind"} <= set(re.findall(r"`(\w+)`", row[1]))
 

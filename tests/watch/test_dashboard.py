@@ -46,7 +46,13 @@ def filled_metrics(served: Served, directory: Path) -> Metrics:
         served.counters.gap("rover1", 1)
         served.counters.jump("rover1")
     assert served.status is not None
-    return Metrics(served.status, served.counters, PartFigures, dict, Disk(directory, directory / "map.db"), 2**31)
+
+    def lost() -> dict[str, str]:
+        return {"robot r1 sensor lidar": "a sentence"}
+
+    return Metrics(
+        served.status, served.counters, PartFigures, dict, lost, Disk(directory, directory / "map.db"), 2**31
+    )
 
 
 @pytest.fixture(scope="module")

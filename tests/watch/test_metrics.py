@@ -37,6 +37,7 @@ def scrape(served: Served, directory: Path, figures: PartFigures | None = None) 
     assert served.status is not None
     metrics = Metrics(
         served.status, served.counters, lambda: figures or PartFigures(), lambda: {Problem.OVERLOADED: ""},
+        lambda: {"robot r1": "robot r1: a \"sentence\""},
         Disk(directory, directory / "map.db", directory / "tiles.spill"), 2**31,
     )  # fmt: skip
     return samples(metrics.text())
@@ -80,6 +81,7 @@ def test_metrics_say_what_the_status_says(tmp_path: Path) -> None:
     assert of(found, "tiles", where="resident") == status.tiles.resident
     assert [of(found, "health", state=state) for state in ("ok", "overloaded", "degraded")] == [1, 0, 0]
     assert (of(found, "ready"), of(found, "problem", problem="overloaded")) == (0, 1)
+    assert of(found, "input_lost", subject="robot r1", text='robot r1: a "sentence"') == 1
     assert [of(found, "queue_bytes", queue=name) for name in ("intake", "inbox", "log")] == [1, 2, 3]
     assert (of(found, "queries_waiting"), of(found, "snapshot_sequence"), of(found, "snapshot_ok")) == (4, 5, 0)
     assert (of(found, "disk_bytes", what="log"), of(found, "disk_bytes", what="store")) == (1100, 10)
@@ -160,4 +162,4 @@ def test_a_registration_makes_no_status(tmp_path: Path) -> None:
     def status() -> MapStatus:
         raise AssertionError("asked for a status")
 
-    Metrics(status, Counters(), PartFigures, dict, Disk(tmp_path, None), 1)
+    Metrics(status, Counters(), PartFigures, dict, dict, Disk(tmp_path, None), 1)

@@ -2,6 +2,7 @@
 
     main.py         the list of commands; errors become one line and an exit code
     options.py      options that several commands share
+    figures.py      numbers as people copy them
     connection.py   a Zenoh session with a running service
     top_frame.py    the screen of `roughmap top`
     example.toml    what `roughmap config example` prints

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from roughmap_service.cli.figures import metres
 from roughmap_service.cli.options import BadUse, config_options, json_option, load
+from roughmap_service.host.log_lines import printable
 
 if TYPE_CHECKING:
     from roughmap import AddReport, RoughMap
@@ -52,7 +54,8 @@ def build(
 
     \b
     .xyz .csv .txt .asc   points in the map frame, one per line, in metres: the columns
-                          named x, y and z, or the first three
+                          that a header names (x, y, z or Easting, Northing, Elevation),
+                          or the first three
     .npz, placed points   `points` (N, 3) in the map frame, in metres, or in millimetres
                           if integer; optional: `stamp_ns` (1 or N) and `covariance`
                           (3, 3) or (N, 3, 3)
@@ -61,7 +64,9 @@ def build(
                           `pose` (K, 4, 4): the sensor in the map frame; optional:
                           `stamp_s` or `stamp_ns` (K)
 
-    Points in the map frame without a covariance get `input.placed_sigma`.
+    Points in the map frame without a covariance get `input.placed_sigma`; those whose height stands for "no data", such
+    as -9999, are counted as `no_data` and left out. What can't be read, or could be read in two ways, ends the command
+    with the number of the line or pose, and no map is written.
     """
     from roughmap_schemas.config import configuration_digest
     from roughmap_service.run.settings import Settings, new_map
@@ -72,7 +77,9 @@ def build(
         raise BadUse(f"{output} exists; choose another name, or use --force to replace it")
     begun = time.monotonic()
     built = new_map(config)
-    points, rejected = _fill(built, clouds, Settings(config), sensor, range_sigma)
+    points, rejected, warnings = _fill(built, clouds, Settings(config), sensor, range_sigma)
+    for warning in warnings:
+        click.echo(f"roughmap: warning: {printable(warning)}", err=True)
     for stale in (output, *(output.with_name(output.name + end) for end in ("-wal", "-shm"))):
         stale.unlink(missing_ok=True)
     Store(output).write_map(built, config.public_dict(), configuration_digest(config), uuid.uuid4().hex)
@@ -87,6 +94,7 @@ def build(
         "sequence": built.sequence,
         "digest": built.digest(),
         "seconds": seconds,
+        "warnings": warnings,
     }
     if as_json:
         click.echo(json.dumps(report))
@@ -96,33 +104,42 @@ def build(
         f"{report['accepted']:,} of {points:,} points integrated" + (f"; rejected: {reasons}" if reasons else "")
     )
     if extent := built.extent():
-        click.echo("tiles from x {:g} to {:g} m, y {:g} to {:g} m".format(*(extent[k] for k in (0, 2, 1, 3))))
+        xmin, ymin, xmax, ymax = map(metres, extent)
+        click.echo(f"tiles from x {xmin} to {xmax} m, y {ymin} to {ymax} m")
     click.echo(f"{output}: {built.tile_count} tiles, digest {report['digest']}, in {seconds:.1f} s")
 
 
 def _fill(
     built: "RoughMap", clouds: tuple[Path, ...], settings: "Settings", sensor: str, range_sigma: float | None
-) -> tuple[int, dict[str, int]]:
-    """Integrate all files; return the number of points and the rejected ones by reason."""
+) -> tuple[int, dict[str, int], list[str]]:
+    """Integrate all files; return the number of points, the rejected ones by reason, and warnings."""
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     from roughmap_service.formats.clouds import read_cloud
+    from roughmap_service.formats.doubts import Doubts, without_no_data
+    from roughmap_service.formats.recorded import PlacedPoints
 
     points = 0
+    warnings: list[str] = []
     rejected: Counter[str] = Counter()
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("reading")
         for number, file in enumerate(clouds, 1):
-            for part in read_cloud(file):
-                report = _add(built, part, settings, sensor, range_sigma)
-                points += len(part.points)
-                rejected.update(report.rejected)
+            doubts = Doubts()
+            for read in read_cloud(file):
+                part = without_no_data(read) if isinstance(read, PlacedPoints) else read
+                doubts.take(part.points if isinstance(part, PlacedPoints) else part.position[None])
+                points += len(read.points)
+                rejected.update({"no_data": missing} if (missing := len(read.points) - len(part.points)) else {})
+                if len(part.points) or not missing:
+                    rejected.update(_add(built, part, settings, sensor, range_sigma).rejected)
                 where = f"file {number} of {len(clouds)}, {file.name}"
                 progress.update(task, description=f"{where}: {points:,} points, {built.tile_count} tiles")
-    return points, dict(rejected)
+            warnings += (f"{file}: {doubt}" for doubt in doubts.found(built.cell_size))
+    return points, dict(rejected), warnings
 
 
 def _add(

@@ -15,7 +15,7 @@ from roughmap_schemas.config_load import LoadedConfig
 from roughmap_service.cli.options import Failure, config_options, json_option, load, reachable
 from roughmap_service.host.log_lines import printable
 from roughmap_service.http.token import HttpError, token_of
-from roughmap_service.watch.readiness import NOT_BLOCKING, Problem
+from roughmap_service.watch.readiness import NOT_BLOCKING, SUBJECTS, Problem
 
 TIMEOUT_S = 3.0
 
@@ -32,12 +32,11 @@ MAX_ANSWER = 1 << 16
 def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], as_json: bool) -> int:
     """roughmap health
 
-    Check that the service of this configuration works, and print one line. Exit code 0 if it works; 1 if it is not
-    reachable, not ready or can't write its log. An overloaded service works, and so does one that can't write its
-    store: its log has everything.
+    Check that the service of this configuration works, and print a line for each problem, or ok. Exit code 0 if it
+    works; 1 if it is not reachable, not ready or can't write its log. An overloaded service works, and so does one that
+    can't write its store (its log has everything), or to which a robot sends what it can't use.
 
-    The check reads the page /readyz. If http.listen is off or its port is 0, it asks over Zenoh; the status there has
-    no causes, so any `degraded` is a failure.
+    The check reads the page /readyz. If http.listen is off or its port is 0, it asks over Zenoh.
     """
     loaded = load(config_path, settings)
     config = loaded.config
@@ -51,8 +50,10 @@ def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], a
     if as_json:
         click.echo(json.dumps({"works": works, "map": config.map.name, "problems": problems}))
     else:
-        shown = "; ".join(f"{name}: {cause}" if cause else name for name, cause in problems.items())
-        click.echo(printable(f"{config.map.name}: {shown or 'ok'}"))
+        shown = [f"{name}: {line}" for name, cause in problems.items() for line in cause.split("\n") if line]
+        shown += [name for name, cause in problems.items() if not cause]
+        for line in shown or ["ok"]:
+            click.echo(printable(f"{config.map.name}: {line}"))
     return 0 if works else 1
 
 
@@ -96,7 +97,7 @@ def _page(config: Config, path: str) -> Any:
 
 
 def _ask_status(loaded: LoadedConfig) -> dict[str, str]:
-    """Return the problems in the status over Zenoh, most without a cause."""
+    """Return the problems in the status over Zenoh, each with its cause."""
     from roughmap_client import RoughMapClient
     from roughmap_client.errors import RoughMapError
     from roughmap_service.cli.connection import client_config, if_guarded, open_client
@@ -109,10 +110,10 @@ def _ask_status(loaded: LoadedConfig) -> dict[str, str]:
         except RoughMapError as error:
             hint = f"is the map {config.map.name!r} served there?{if_guarded(zenoh_config)}"
             raise Failure(f"{error}; {hint}") from None
-    if status.health == "ok":
-        return {}
-    if status.health == "overloaded":
-        return {str(Problem.OVERLOADED): ""}
-    if not status.log.ok:
-        return {str(Problem.LOG_NOT_WRITABLE): "the log can't be written"}
-    return {str(status.health): "the cause is in its log lines and, if http.listen is on, on /readyz"}
+    if status.health != "ok" and not status.problems:  # a service of an earlier version
+        return {str(status.health): "the cause is in its log lines and, if http.listen is on, on /readyz"}
+    found: dict[str, str] = {}
+    for subject, text in status.problems.items():
+        name = str(next((problem for problem, of in SUBJECTS.items() if of == subject), Problem.INPUT_LOST))
+        found[name] = f"{found[name]}\n{text}" if name in found else text
+    return found

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from roughmap_service.cli.figures import metres, statistic
 from roughmap_service.cli.options import (
     BadUse,
     Failure,
@@ -178,7 +179,8 @@ def _table(report: dict[str, Any]) -> None:
     rows, columns = report["shape"]
     x, y = report["origin"]
     click.echo(
-        f"{printable(report['map'])}: {columns} x {rows} cells of {report['cell_size']:g} m from ({x:g}, {y:g}), "
+        f"{printable(report['map'])}: {columns} x {rows} cells of {metres(report['cell_size'])} m "
+        f"from ({metres(x)}, {metres(y)}), "
         f"sequence {report['sequence']}, answered in {report['answer_s'] * 1e3:.1f} ms"
     )
     table = Table(box=None, pad_edge=False)
@@ -186,6 +188,6 @@ def _table(report: dict[str, Any]) -> None:
     for heading in ("known", "min", "median", "mean", "max"):
         table.add_column(heading, justify="right")
     for layer, stats in report["layers"].items():
-        cells = ["-" if stats[key] is None else f"{stats[key]:.4g}" for key in ("min", "median", "mean", "max")]
+        cells = ["-" if (value := stats[key]) is None else statistic(value) for key in ("min", "median", "mean", "max")]
         table.add_row(layer, f"{stats['known']:,}", *cells)
     Console(highlight=False).print(table)

@@ -106,10 +106,7 @@ def simulate(
         names = [rover.name for rover in fleet]
     config = client_config(load(config_path, settings), connect, zenoh_file)
     where = ", ".join(map(without_secrets, endpoints_of(config, "connect")))
-    with (
-        open_client(config, wait) as session,
-        RoverPublisher(session, names, patient=recording is not None or rate != 1) as publisher,
-    ):
+    with open_client(config, wait) as session, RoverPublisher(session, names) as publisher:
         try:
             publisher.wait_for_listeners(wait)
         except NobodyListens as error:

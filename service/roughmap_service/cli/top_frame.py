@@ -91,7 +91,8 @@ class Robots:
 
 def frame(status: MapStatus, robots: list[Row], silent_s: float) -> RenderableType:
     """Return the whole screen; ``silent_s`` is the time since the service last answered, in seconds."""
-    parts: list[RenderableType] = [_head(status, silent_s), Text(), _flow(status), Text(), _resources(status)]
+    parts: list[RenderableType] = [_head(status, silent_s), *_problems(status), Text(), _flow(status), Text()]
+    parts.append(_resources(status))
     if rejected := _rejected(status):
         parts += [Text(), rejected]
     if robots or status.gaps or status.jumps:
@@ -109,6 +110,15 @@ def _head(status: MapStatus, silent_s: float) -> Text:
     if silent_s >= 2.0:
         head.append(f"\nno answer for {silent_s:.0f} s; showing the last status", "bold red")
     return head
+
+
+def _problems(status: MapStatus) -> list[RenderableType]:
+    """Return a line for each problem: its sentence, with the subject if it does not begin with that."""
+    shown = []
+    for subject, text in status.problems.items():
+        line = text if text.startswith(subject) else f"{subject}: {text}"
+        shown.append(Text(printable(line), "yellow"))
+    return [Text(), *shown] if shown else []
 
 
 def _table(*columns: str, left: tuple[str, ...] = ()) -> Table:

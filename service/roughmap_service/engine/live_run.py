@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from roughmap import RoughMap
 from roughmap_schemas import (
+    Cloud,
     CloudReason,
     Event,
     IntegrationEvent,
@@ -17,19 +18,20 @@ from roughmap_schemas import (
     Receipt,
     Refusal,
     ResetEvent,
-    SensorTimeEvent,
     encode_event,
 )
+from roughmap_service.engine.figures import LostCloud
 from roughmap_service.engine.notices import Notices
 from roughmap_service.host.counters import Counters
 from roughmap_service.inputs.admission import admit, refuse
 from roughmap_service.inputs.queue import InputMessage
+from roughmap_service.inputs.streams import Streams
 from roughmap_service.journal.items import Sync
 from roughmap_service.journal.recorder import Recorder
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.run.inbox import Arrival, Proposal
 from roughmap_service.run.odometry_clock import Verdict
-from roughmap_service.run.run import Run
+from roughmap_service.run.run import NoTimes, Run
 from roughmap_service.run.view import View
 from roughmap_service.store.memory_limit import MemoryLimit
 
@@ -47,6 +49,7 @@ class LiveRun:
         recorder: Recorder,
         counters: Counters,
         memory: MemoryLimit,
+        streams: Streams,
         publish_event: Callable[[bytes], None],
     ) -> None:
         self.run = run
@@ -55,10 +58,12 @@ class LiveRun:
         self._recorder = recorder
         self._counters = counters
         self._memory = memory
+        self._streams = streams
         self._publish_event = publish_event
         self._robots = set(run.robots)
-        self._notices = Notices(counters, self._robots)
+        self._notices = Notices(counters, streams, run.robots, self._robots)
         self._checkpoint_sequence = 0
+        self._unclear: dict[tuple[str, str], str] = {}
 
     def accept(self, message: InputMessage, now: float) -> int | None:
         """Check a message, log it and apply it. Return its input number.
@@ -86,12 +91,14 @@ class LiveRun:
         arrival = Arrival(message.arrival, promised=message.reply is not None)
         taken = run.take(message.robot, content, message.identity, logged_ns, arrival)
         self._notices.message(message.robot, content, taken)
+        if isinstance(content, Cloud):
+            self._notices.sensor(message.robot, content.frame_id, run.settings.config)
         self._acknowledge(message, taken.input, duplicate=False)
         return taken.input
 
     def refuse(self, message: InputMessage, fault: MessageFault) -> None:
         """Count a message that is not logged, and answer it if it was ingested."""
-        refuse(self._counters, message.robot, fault)
+        refuse(self._counters, self._streams, message.robot, message.kind, fault, message.payload)
         if message.reply is not None:
             message.reply.refuse(fault)
 
@@ -120,6 +127,12 @@ class LiveRun:
         rejected = {str(reason): n for reason, n in event.rejected.items()}
         came = None if arrival.resumed else arrival.at
         self._counters.cloud(str(event.outcome), event.accepted, rejected, came, seconds)
+        cloud, robot = proposal.cloud, self.run.robots.get(event.robot)
+        lost = LostCloud(
+            cloud, event, robot, self.run.settings, self.run.map, now - arrival.at, self._unclear.get(cloud.sensor, "")
+        )
+        frame_id = cloud.cloud.frame_id
+        self._streams.cloud(event.robot, frame_id, str(event.outcome), event.accepted, rejected, lost.figures)
         self._publish_event(encode_event(event))
         return event
 
@@ -168,11 +181,13 @@ class LiveRun:
     def _find_times(self, now: float) -> None:
         """Log how the times of waiting clouds are read, once it is known."""
         for found in self.run.find_times(now):
-            if isinstance(found, SensorTimeEvent):
+            if isinstance(found, NoTimes):
+                self._unclear[found.robot, found.frame_id] = found.seen
+            else:
                 self._log(found)
                 self.run.read_times(found)
                 self._publish_event(encode_event(found))
-            self._notices.times(found)
+            self._notices.times(found, self.run.settings.config)
 
     def _integrate(self, proposal: Proposal) -> IntegrationEvent:
         """Apply a proposal and log the event.
@@ -201,6 +216,8 @@ class LiveRun:
         if message.reply is None:
             if duplicate:
                 self._counters.refuse(Refusal.DUPLICATE)
+                text = "they are in the log already"
+                self._streams.refused(message.robot, message.kind.value, Refusal.DUPLICATE, text)
             return
         receipt = Receipt(input=number, epoch=self.run.epoch, durable=True, duplicate=duplicate)
         reply = message.reply

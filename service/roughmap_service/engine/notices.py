@@ -1,13 +1,17 @@
 """What an operator should see of the messages that came in: counters and log lines."""
 
-import json
 import logging
+from collections.abc import Mapping
+from functools import partial
 
-from roughmap_schemas import PoseReason, SensorTimeEvent, Transform
+from roughmap_schemas import Config, Odometry, PoseReason, SensorTimeEvent, Transform
+from roughmap_service.engine.figures import pose_figures
 from roughmap_service.host.counters import Counters
 from roughmap_service.host.log_lines import note
+from roughmap_service.inputs.remedies import sensor_table
+from roughmap_service.inputs.streams import Streams
 from roughmap_service.run.decoding import Content
-from roughmap_service.run.robot import OdometryTaken
+from roughmap_service.run.robot import OdometryTaken, Robot
 from roughmap_service.run.run import NoTimes, Taken
 
 logger = logging.getLogger(__name__)
@@ -20,22 +24,30 @@ ORIGINS = {
 
 
 class Notices:
-    """Counts accepted and rejected poses, and logs what is unusual; ``robots`` are those that were heard before."""
+    """Counts accepted and rejected poses, and logs what is unusual.
 
-    def __init__(self, counters: Counters, robots: set[str]) -> None:
+    ``states`` are the run's robots; ``robots`` are those that were heard before.
+    """
+
+    def __init__(self, counters: Counters, streams: Streams, states: Mapping[str, Robot], robots: set[str]) -> None:
         self._counters = counters
+        self._states = states
+        self._streams = streams
         self._robots = robots
         self._unestimated: set[str] = set()
+        self._sensors: dict[tuple[str, str], tuple[float, float]] = {}
 
     def message(self, robot: str, content: Content, taken: Taken) -> None:
         """Notice what a logged message led to."""
         if robot not in self._robots:
             self._robots.add(robot)
             note(logger, logging.INFO, "robot", f"robot {robot}: first message", robot=robot)
-        if taken.odometry is not None:
-            self._odometry(robot, taken.odometry)
+        if isinstance(content, Odometry) and taken.odometry is not None:
+            self._odometry(robot, content, taken.odometry)
         elif taken.rejected is not None:
             self._counters.pose(PoseReason.POSE_FRAME)
+        if isinstance(content, Transform):
+            self._streams.transform(robot)
         if taken.jumped and isinstance(content, Transform):
             self._counters.jump(robot)
             text = (
@@ -44,7 +56,31 @@ class Notices:
             )
             note(logger, logging.WARNING, "jump", text, robot=robot, child_frame_id=content.child_frame_id)
 
-    def times(self, found: SensorTimeEvent | NoTimes) -> None:
+    def sensor(self, robot: str, frame_id: str, config: Config) -> None:
+        """Notice what the last cloud of a sensor shows of its clock."""
+        sensor = self._states[robot].sensors.get(frame_id) if robot in self._states else None
+        if sensor is None:
+            return
+        # Beyond the limit its clouds are lost, which is told with the same figure.
+        shown = 0.0 if sensor.differs else round(sensor.offset_ns * 1e-9, 1)
+        late = round(sensor.late_ns * 1e-9, 1)
+        if self._sensors.get((robot, frame_id), (0.0, 0.0)) == (shown, late):
+            return
+        self._sensors[robot, frame_id] = shown, late
+        subject = f"robot {robot} sensor {frame_id}"
+        text = None
+        if shown:
+            where = "ahead of" if shown > 0 else "behind"
+            text = (
+                f"{subject}: its clock moved: it is {abs(shown)} s {where} the odometry's; use one clock, or set "
+                f"time_offset in {sensor_table(config, robot, frame_id)}"
+            )
+        self._streams.remark(subject, "clock", text)
+        if late:
+            text = f"{subject}: its clouds come {late} s later than at first: a slower way, or its clock fell behind"
+            note(logger, logging.WARNING, "sensor_late", text, robot=robot, frame_id=frame_id, seconds=late)
+
+    def times(self, found: SensorTimeEvent | NoTimes, config: Config) -> None:
         """Notice how a sensor's times are read, or that it is unclear."""
         sensor = f"robot {found.robot} sensor {found.frame_id}"
         if isinstance(found, SensorTimeEvent):
@@ -57,13 +93,15 @@ class Notices:
         else:
             text = (
                 f"{sensor}: clouds rejected, since the meaning of their points' times is unclear: {found.seen}. Set "
-                f"time_field, time_unit and time_origin in [sensors.{json.dumps(found.frame_id)}]"
+                f"time_field, time_unit and time_origin in {sensor_table(config, found.robot, found.frame_id)}"
             )
             note(logger, logging.WARNING, "time_form", text, robot=found.robot, frame_id=found.frame_id)
 
-    def _odometry(self, robot: str, taken: OdometryTaken) -> None:
+    def _odometry(self, robot: str, odometry: Odometry, taken: OdometryTaken) -> None:
         for reason in taken.settled:
             self._counters.pose(reason)
+            figures = partial(pose_figures, reason, odometry, self._states[robot], taken.why)
+            self._streams.pose(robot, reason, figures)
         if taken.verdict.begins_anew:
             text = f"robot {robot}: its clock went back; its poses begin anew, and clouds from before are rejected"
             note(logger, logging.WARNING, "clock_reset", text, robot=robot)

@@ -46,6 +46,7 @@ def _run(config: Config, stop: threading.Event) -> None:
     sensors += [(robot, frame) for robot, own in config.robots.items() for frame in own.sensors]
     line = [Pose(k * 10**9, (0.0, 0.0, 0.0), UNTURNED, None, 1, 0) for k in (0, 1)]
     points = np.tile([[3.0, 0.0, -0.3], [0.0, 3.0, -0.5], [-3.0, 1.0, -0.4]], (1400, 1))  # work for two threads
+    points += np.linspace(0.0, 1e-3, len(points))[:, None]  # equal ones would be rejected
     rehash(np.empty(2, np.int32), np.zeros(1, np.uint64), 0)  # the index of tiles grows
     with new_map(config) as rough_map:
         for robot, frame in [("", settings.frame_id), *sensors[:1]]:

@@ -3,7 +3,7 @@
 `points` (N, 3) are millimetres if integer, else metres. They are scans in the sensor's frame if the file has
 
     scan_start or offsets (K + 1)   scan k is points[scan_start[k] : scan_start[k + 1]]
-    pose or poses (K, 4, 4)         the sensor in the map at each scan
+    pose or poses (K, 4, 4)         the sensor in the map at each scan: rigid transforms (`formats.poses`)
     stamp_s (K,) or stamp_ns (K,)   seconds or nanoseconds since the epoch; if absent, scan k is at k tenths of a second
 
 and otherwise points in the map frame, with the optional `stamp_ns` (1 or N) and `covariance` ((3, 3) or (N, 3, 3)).
@@ -17,12 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap_schemas.geometry import quaternion_of
+from roughmap_service.formats.poses import check_poses
 from roughmap_service.formats.recorded import PART_ROWS, CloudFileFault, Floats, PlacedPoints, RecordedScan
+from roughmap_service.formats.stamps import outside, stamps_fault
 
 Arrays = dict[str, npt.NDArray[np.generic]]
 
 NANOSECONDS = 1_000_000_000
-LAST_STAMP_NS = 2**32 * NANOSECONDS
 
 MAX_UNPACKED = 16 << 30
 """Most bytes of an archive's arrays: half a billion points with covariances. All of them are in memory at once."""
@@ -96,7 +97,8 @@ def _scans(file: Path, arrays: Arrays) -> Iterator[RecordedScan]:
     assert start is not None  # noqa: S101  # _is_scans
     assert pose is not None  # noqa: S101  # _is_scans
     count = len(start) - 1
-    if start.ndim != 1 or start.dtype.kind not in "iu" or count < 0 or pose.shape != (count, 4, 4):
+    fits = start.ndim == 1 and start.dtype.kind in "iu" and count >= 0
+    if not fits or pose.shape != (count, 4, 4) or pose.dtype.kind not in "iuf":
         raise CloudFileFault(
             f"{file}: expected K + 1 integer scan starts and K poses (K, 4, 4), found {start.shape} and {pose.shape}"
         )
@@ -106,8 +108,7 @@ def _scans(file: Path, arrays: Arrays) -> Iterator[RecordedScan]:
             f"{file}: expected scan starts that rise from 0 to at most {len(points)}, the number of points"
         )
     poses = pose.astype(np.float64)
-    if not np.isfinite(poses).all():
-        raise CloudFileFault(f"{file}: expected finite poses, found NaN or infinity")
+    check_poses(file, poses)
     stamps = _scan_stamps(file, arrays, count)
     return (
         RecordedScan(
@@ -121,22 +122,18 @@ def _scans(file: Path, arrays: Arrays) -> Iterator[RecordedScan]:
 
 
 def _scan_stamps(file: Path, arrays: Arrays, count: int) -> npt.NDArray[np.int64]:
-    given = _first(arrays, "stamp_ns", "stamp_s")
-    if given is None:
+    name = next((name for name in ("stamp_ns", "stamp_s") if name in arrays), None)
+    if name is None:
         return np.arange(count, dtype=np.int64) * (NANOSECONDS // 10)
+    given = arrays[name]
     if given.shape != (count,) or given.dtype.kind not in "iuf" or not np.isfinite(given.astype(np.float64)).all():
-        raise CloudFileFault(f"{file}: expected {count} finite stamps, found {given.dtype} {given.shape}")
-    if "stamp_ns" in arrays:
-        stamps = given.astype(np.int64)
-    else:
-        stamps = np.rint(given.astype(np.float64) * NANOSECONDS).astype(np.int64)
-    _check_stamps(file, stamps)
-    return stamps
-
-
-def _check_stamps(file: Path, stamps: npt.NDArray[np.int64]) -> None:
-    if stamps.size and (stamps.min() < 0 or stamps.max() >= LAST_STAMP_NS):
-        raise CloudFileFault(f"{file}: expected stamps from 0 to 2^32 s, found {stamps.min()} .. {stamps.max()} ns")
+        raise CloudFileFault(f"{file}: expected {count} finite stamps in {name}, found {given.dtype} {given.shape}")
+    fault = stamps_fault(name, given)
+    if fault is not None:
+        raise CloudFileFault(f"{file}: {fault}")
+    if name == "stamp_ns":
+        return given.astype(np.int64)
+    return np.rint(given.astype(np.float64) * NANOSECONDS).astype(np.int64)
 
 
 def _placed(file: Path, arrays: Arrays) -> Iterator[PlacedPoints]:
@@ -145,8 +142,9 @@ def _placed(file: Path, arrays: Arrays) -> Iterator[PlacedPoints]:
     stamps = np.atleast_1d(arrays.get("stamp_ns", np.zeros(1, np.int64)))
     if stamps.dtype.kind not in "iu" or stamps.shape not in {(1,), (count,)}:
         raise CloudFileFault(f"{file}: expected stamp_ns as one or {count} integers, found {stamps.shape}")
+    if (fault := outside("stamp_ns", stamps)) is not None:
+        raise CloudFileFault(f"{file}: {fault}")
     stamp_ns = stamps.astype(np.int64)
-    _check_stamps(file, stamp_ns)
     covariance = arrays.get("covariance")
     if covariance is not None and (covariance.dtype.kind != "f" or covariance.shape not in {(3, 3), (count, 3, 3)}):
         raise CloudFileFault(

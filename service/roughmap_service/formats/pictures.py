@@ -122,6 +122,8 @@ def _panel(axes: Axes, region: Layers, layer: str, tracks: Sequence[Floats]) -> 
     axes.set_xlim(extent[0], extent[1])
     axes.set_ylim(extent[2], extent[3])
     axes.set_aspect("equal")
+    axes.ticklabel_format(style="plain", useOffset=False)  # survey coordinates in full, to be read off
+    axes.tick_params(axis="x", labelrotation=45 if max(abs(extent[0]), abs(extent[1])) >= 10_000 else 0)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.set_title(f"{name}, cells of {region.cell_size:g} m")

@@ -60,7 +60,8 @@ def application(sources: Sources) -> Starlette:
 
 
 def _page(status: MapStatus, readiness: Readiness) -> str:
-    why = "; ".join(readiness.problems().values()) or "accepting messages and answering queries"
+    causes = [escape(line) for cause in readiness.problems().values() for line in cause.split("\n")]
+    why = "<br>".join(causes) or "accepting messages and answering queries"
     rows = {
         "sequence": f"{status.sequence}, on disk up to {status.durable_sequence}",
         "up for": f"{status.uptime_s:.0f} s",
@@ -72,6 +73,6 @@ def _page(status: MapStatus, readiness: Readiness) -> str:
     }
     table = "\n".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows.items())
     return PAGE.format(
-        map=escape(status.map), version=escape(status.version), health=escape(status.health), why=escape(why),
+        map=escape(status.map), version=escape(status.version), health=escape(status.health), why=why,
         rows=table,
     )  # fmt: skip

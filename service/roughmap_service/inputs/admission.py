@@ -2,11 +2,19 @@
 
 import logging
 from collections.abc import Collection
+from contextlib import suppress
+from itertools import islice
+from typing import Final
+
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 
 from roughmap_schemas import Cloud, MessageFault, Odometry, Refusal
+from roughmap_schemas.kinds import Kind
+from roughmap_schemas.wire import LENGTH, MAX_ENTRIES, entries
 from roughmap_service.host.counters import OTHERS, Counters
 from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.queue import InputMessage
+from roughmap_service.inputs.streams import Streams
 from roughmap_service.run.decoding import Content, decode
 from roughmap_service.run.inbox import Inbox
 from roughmap_service.run.settings import Settings
@@ -15,6 +23,8 @@ logger = logging.getLogger(__name__)
 
 MAX_SHOWN = 500
 """Characters of a log line about a message: its content comes from outside."""
+
+FRAME_FIELD: Final = PointCloud.DESCRIPTOR.fields_by_name["frame_id"].number
 
 
 def admit(message: InputMessage, settings: Settings, known: Collection[str], inbox: Inbox) -> Content:
@@ -44,13 +54,26 @@ def _of_sensor(content: Content, settings: Settings) -> bool:
     return isinstance(content, Cloud) and content.frame_id != settings.frame_id
 
 
-def refuse(counters: Counters, robot: str, fault: MessageFault) -> None:
+def refuse(
+    counters: Counters, streams: Streams, robot: str, kind: Kind, fault: MessageFault, payload: bytes = b""
+) -> None:
     """Count a message that is not logged, and log a line about it: a few a minute for each robot and reason."""
     shown = counters.refuse(fault.code, robot)
+    what = kind.value if kind is not Kind.POINTS else frame_of(payload) or kind.value
+    streams.refused(robot, what, fault.code, fault.message)
     if fault.code != Refusal.LOG_UNAVAILABLE:  # the log's writer has its own line for that
         source = "" if robot == OTHERS else f"robot {robot}: "
         text = f"{source}message refused, {fault.code}: {fault.message}"[:MAX_SHOWN]
         note(logger, logging.WARNING, "refused", text, robot=shown, reason=str(fault.code))
+
+
+def frame_of(payload: bytes) -> str:
+    """Return the frame of a cloud that may be broken; "" if it names none."""
+    with suppress(MessageFault):
+        for entry in islice(entries(payload, "a cloud", 0, len(payload)), MAX_ENTRIES):
+            if (entry.number, entry.wire) == (FRAME_FIELD, LENGTH):
+                return payload[entry.start : min(entry.end, entry.start + MAX_SHOWN)].decode("utf-8", "replace")
+    return ""
 
 
 def _check_cloud(message: InputMessage, cloud: Cloud, settings: Settings, inbox: Inbox) -> None:

@@ -13,21 +13,15 @@ from roughmap_schemas.kinds import Kind
 from roughmap_service.host.counters import OTHERS, Counters
 from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.admission import refuse
+from roughmap_service.inputs.gaps import Gaps
 from roughmap_service.inputs.queue import InputMessage, InputQueue
 from roughmap_service.inputs.receipts import IngestReply, ReceiptSender
+from roughmap_service.inputs.streams import Streams
 
 logger = logging.getLogger(__name__)
 
-MAX_NUMBERED = 10_000
-"""Streams (one robot's messages of one kind) whose gaps are counted."""
-
-
 MAX_ATTACHMENT = 1 << 16
 """Bytes of an ingest request's attachment. It stays in memory until the answer, and no limit counts it."""
-
-
-MAX_GAP = 1 << 32
-"""A larger step between two numbers is a new count, not a loss."""
 
 
 class ZenohInputs:
@@ -45,13 +39,15 @@ class ZenohInputs:
         receipts: ReceiptSender,
         max_message: int,
         counters: Counters,
+        streams: Streams,
     ) -> None:
         self._keys = keys
         self._queue = queue
         self._receipts = receipts
         self._max_message = max_message
         self._counters = counters
-        self._sequences: dict[tuple[str, Kind], int] = {}
+        self._streams = streams
+        self._gaps = Gaps()
         self._undeclare: list[Callable[[], object]] = []
         for kind, key, parse in (
             (Kind.POINTS, keys.points_any, keys.parse_points),
@@ -80,10 +76,10 @@ class ZenohInputs:
                 robot = parse(str(sample.key_expr))
                 if sample.kind == zenoh.SampleKind.DELETE:
                     raise MessageFault(Refusal.BAD_MESSAGE, "expected a put, found a delete")
-                self._count_gap(robot, kind, sample.attachment)
+                self._count_lost(robot, kind, sample)
                 self._check(kind, str(sample.encoding), sample.payload)
             except MessageFault as fault:
-                refuse(self._counters, robot, fault)
+                refuse(self._counters, self._streams, robot, kind, fault)
                 return
             payload = sample.payload.to_bytes()
             self._queue.put(InputMessage(kind, robot, payload, time.time_ns(), time.monotonic()))
@@ -91,7 +87,7 @@ class ZenohInputs:
         return handle
 
     def _answer(self, query: zenoh.Query) -> None:
-        reply, robot = IngestReply(query, self._receipts), OTHERS
+        reply, robot, kind = IngestReply(query, self._receipts), OTHERS, Kind.POINTS
         try:
             name, robot = self._keys.parse_ingest(str(query.key_expr))
             kind, payload = Kind(name), query.payload
@@ -104,7 +100,7 @@ class ZenohInputs:
                     Refusal.TOO_LARGE, f"attachment: expected at most {MAX_ATTACHMENT} bytes; found {found}"
                 )
         except MessageFault as fault:
-            refuse(self._counters, robot, fault)
+            refuse(self._counters, self._streams, robot, kind, fault)
             reply.refuse(fault)
             return
         self._queue.put(InputMessage(kind, robot, payload.to_bytes(), time.time_ns(), time.monotonic(), reply))
@@ -116,19 +112,20 @@ class ZenohInputs:
                 Refusal.TOO_LARGE, f"the message has {len(payload)} bytes (input.max_message: {self._max_message})"
             )
 
-    def _count_gap(self, robot: str, kind: Kind, attachment: zenoh.ZBytes | None) -> None:
-        """Count messages lost on the way: publishers number theirs in an 8-byte attachment."""
-        if attachment is None or len(attachment) != 8:
+    def _count_lost(self, robot: str, kind: Kind, sample: zenoh.Sample) -> None:
+        """Count messages lost on the way, by Zenoh's numbers or those in an 8-byte attachment."""
+        attachment = sample.attachment
+        source = getattr(sample, "source_info", None)  # Zenoh marks it as unstable
+        if source is not None:
+            lost = self._gaps.sourced(str(sample.key_expr), str(source.source_id), source.source_sn)
+        elif attachment is not None and len(attachment) == 8:
+            lost = self._gaps.numbered(robot, kind, int.from_bytes(attachment.to_bytes(), "little"))
+        else:
             return
-        number = int.from_bytes(attachment.to_bytes(), "little")
-        last = self._sequences.get((robot, kind))
-        if last is not None and 1 < number - last <= MAX_GAP:
-            missing = number - last - 1
-            self._counters.gap(robot, missing)
-            text = f"robot {robot}: {missing} {kind.value} messages lost before number {number}"
-            note(logger, logging.WARNING, "gap", text, robot=robot, kind=kind.value, missing=missing)
-        if last is not None or len(self._sequences) < MAX_NUMBERED:
-            self._sequences[robot, kind] = number
+        if lost:
+            self._counters.gap(robot, lost)
+            text = f"robot {robot}: {lost} {kind.value} messages lost on the way"
+            note(logger, logging.WARNING, "gap", text, robot=robot, kind=kind.value, missing=lost)
 
 
 ENCODINGS = {

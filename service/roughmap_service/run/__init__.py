@@ -2,10 +2,17 @@
 
     run.py          `Run`: take a message, decide, place, follow an event; the way of a cloud in one screen
     decoding.py     a message's bytes -> cloud, odometry or transform
-    point_times.py  how the times of a sensor's points are read
     inbox.py        logged clouds that wait for their poses: which is decided next, and how
-    poses.py        a robot's poses and transforms; pose_algebra.py turns them
-    placing.py      a cloud's points -> the map's frame and tiles
+    robot.py        one robot: what its messages lead to, with
+                    odometry_clock.py  which odometry is believed, by arrival and stamp
+                    covariances.py     what its covariance means
+                    leaps.py           poses that no motion explains
+                    transforms.py      transforms to the map frame
+                    poses.py           the buffer of its poses; pose_algebra.py turns them
+                    sensor_clock.py    which clouds' stamps are believed
+                    rules_1.py         how poses were taken in logs of the first version
+    sensor_times.py how the times of each sensor's points are read; point_times.py finds their form
+    placing.py      a cloud's points -> the map's frame and tiles; returns.py: points that are none
     duplicates.py   messages that were logged before
     fold.py         a log's records -> a run, in a replay and after a restart
     settings.py     the configuration, unpacked; metadata.py: what a log file says of its run

@@ -2,12 +2,16 @@
 
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import replace
+
+import numpy as np
 
 from roughmap import Prepared, RoughMap, Scan
 from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS
 from roughmap.tiles.table import ReaderLock
 from roughmap_schemas import Cloud, PointReason
 from roughmap_service.run.poses import Pose, trajectory
+from roughmap_service.run.returns import repeated_returns
 from roughmap_service.run.settings import Settings
 
 
@@ -35,17 +39,26 @@ def place_cloud(
     sensor = settings.sensor(robot, cloud.frame_id)
     if sensor is None:  # the cloud waited over a restart, and the new configuration lacks its sensor
         return Prepared(0, {PointReason.NO_POSE: len(cloud.points)} if len(cloud.points) else {})
+    points, offsets = cloud.points, cloud.offsets_ns
+    repeated = repeated_returns(points) if settings.rules >= 2 else None
+    if repeated is not None:
+        points = points[~repeated]
+        offsets = None if offsets is None else offsets[~repeated]
     scan = Scan(
-        cloud.points,
+        points,
         cloud.stamp_ns,
-        offsets_ns=cloud.offsets_ns,
+        offsets_ns=offsets,
         translation=sensor.translation,
         rotation=sensor.rotation,
     )
     path = trajectory(poses, settings.pose_covariance)
-    return rough_map.prepare_scan(
+    prepared = rough_map.prepare_scan(
         scan, path, sensor.noise, sensor.limits, max_new_tiles=most_new, max_tiles=most, reader_lock=reader_lock
     )
+    if repeated is not None:
+        rejected = prepared.rejected | {PointReason.DUPLICATE_RETURN: int(np.count_nonzero(repeated))}
+        prepared = replace(prepared, rejected=rejected)
+    return prepared
 
 
 def span(cloud: Cloud) -> tuple[int, int]:

@@ -40,6 +40,9 @@ WHOLE: Final = 0.3
 FASTEST: Final = 2e7
 """More points a second than any scanner measures."""
 
+SURE_S: Final = 0.01
+"""From here on the next larger unit makes no sense, not even for a driver's mistake."""
+
 STEPS: Final = 20
 """Least number of different values that the type can hold between the first and the last."""
 
@@ -54,6 +57,9 @@ AGREED_S: Final = 0.001
 
 FIRING: Final = 512
 """More points than a scanner measures at the same moment."""
+
+LARGEST: Final = 1e20
+"""No time is larger, in any unit."""
 
 BEYOND_S: Final = BEYOND_NS / SECOND_NS
 
@@ -105,14 +111,16 @@ def find_form(
     columns = [column for name in names if (column := _Column.of(name, having, period)) is not None]
     if not columns:  # all values are equal
         return NO_TIMES if done or len(having[0][1][0].values) > FIRING else None
-    fits = [fit for column in columns for fit in column.fits(unit, origin)]
+    fits = [fit for column in columns for fit in column.fits(unit, origin, last=done)]
     if fits and all(abs(f.first - fits[0].first) < AGREED_S and abs(f.last - fits[0].last) < AGREED_S for f in fits):
         return fits[0].form
     if not done:
         return None
     apart = "" if period is None else f", clouds {period:.3g} s apart"
-    may_be = " or ".join(f"{f.form.field} in {f.form.unit} ({f.form.origin})" for f in fits) or "no unit and origin"
-    return Ambiguous(f"{'; '.join(column.text for column in columns)}{apart}: fits {may_be}")
+    fit = "fits " + (" or ".join(f"{f.form.field} in {f.form.unit} ({f.form.origin})" for f in fits) or "no form")
+    if not fits and all(column.shares for column in columns):
+        fit = "looks like shares of a sweep, not times"
+    return Ambiguous(f"{'; '.join(column.text for column in columns)}{apart}: {fit}")
 
 
 def misfit(cloud: Cloud, form: TimeForm) -> bool:
@@ -175,9 +183,16 @@ class _Column:
         """The field and its values, for a log line."""
         return f"{self.name} ({self.dtype.name}) from {self.low:.10g} to {self.high:.10g}"
 
-    def fits(self, unit: Unit | Auto, origin: Origin | Auto) -> Iterator[_Fit]:
-        """Yield the forms that fit."""
-        longest = LONGEST_ALONE_S if self.period is None else min(LONGEST_S, PERIODS * self.period)
+    @property
+    def shares(self) -> bool:
+        """Whether the values seem to count from 0 to 1 in each sweep, in no unit."""
+        return self.dtype.kind == "f" and self.low >= 0.0 and 0.9 < self.largest < 1.05
+
+    def fits(self, unit: Unit | Auto, origin: Origin | Auto, *, last: bool) -> Iterator[_Fit]:
+        """Yield the forms that fit; with ``last``, no more clouds will tell more."""
+        longest = LONGEST_S if last else LONGEST_ALONE_S
+        if self.period is not None:
+            longest = min(LONGEST_S, PERIODS * self.period)
         for u, ns in UNIT_NS.items():
             scale = ns / SECOND_NS
             span = self.span * scale
@@ -185,10 +200,10 @@ class _Column:
                 continue
             if origin in ("auto", "absolute"):
                 after = [(low * scale - stamp, high * scale - stamp) for stamp, low, high in self.lateness]
-                first, last = median(first for first, _ in after), median(last for _, last in after)
-                if origin == "absolute" or max(-first, last) <= NEAR_S:
-                    yield _Fit(TimeForm(self.name, u, "absolute"), first, last)
-            if origin != "absolute" and (unit != "auto" or self._may_be_in(u, span)):
+                begin, end = median(low for low, _ in after), median(high for _, high in after)
+                if origin == "absolute" or max(-begin, end) <= NEAR_S:
+                    yield _Fit(TimeForm(self.name, u, "absolute"), begin, end)
+            if origin != "absolute" and (unit != "auto" or self._may_be_in(u, span, last=last)):
                 yield from self._relative(u, self.low * scale, self.high * scale, longest, origin)
 
     def _relative(self, unit: Unit, first: float, last: float, longest: float, origin: Origin | Auto) -> Iterator[_Fit]:
@@ -207,15 +222,18 @@ class _Column:
         """Tell whether values of this type can be times of a sweep of ``span`` s."""
         whole = self.dtype.kind in "ui"
         step = 1.0 if whole else float(np.spacing(np.array(self.largest, self.dtype)))
-        shares = not whole and self.low >= 0.0 and 0.9 < self.largest < 1.05  # from 0 to 1, in no unit
-        return span >= SHORTEST_S and self.dtype.itemsize >= 4 and self.span >= STEPS * step and not shares
+        return span >= SHORTEST_S and self.dtype.itemsize >= 4 and self.span >= STEPS * step and not self.shares
 
-    def _may_be_in(self, unit: Unit, span: float) -> bool:
-        """Tell whether it is a whole sweep in this unit, rather than a few neighbouring points in a smaller one."""
-        if self.name == "t" and unit == {"<u4": "ns", "<f4": "s", "<f8": "s"}.get(self.dtype.str):
-            return True  # the contract's form
+    def _may_be_in(self, unit: Unit, span: float, *, last: bool) -> bool:
+        """Tell whether it is a sweep in this unit, neither a few points in a smaller nor nonsense in a larger one."""
+        if self.name == "t" and unit == "ns" and self.dtype == np.uint32:
+            return True  # by the contract
+        if self.name == "t" and unit == "s" and self.dtype.kind == "f" and (last or self.period is not None):
+            return True  # likewise
         if self.period is not None and span >= WHOLE * self.period:
             return True
+        if span < SURE_S:
+            return False
         smaller = max((ns for ns in UNIT_NS.values() if ns < UNIT_NS[unit]), default=0)
         return self.number * SECOND_NS > FASTEST * self.span * smaller
 
@@ -227,7 +245,7 @@ def _range(values: npt.NDArray[Any]) -> tuple[float, float]:
     are the same, that one marks points without a return, and the others count.
     """
     taken = sample(values).astype(np.float64)
-    numbers = np.sort(taken[np.isfinite(taken)])
+    numbers = np.sort(taken[np.abs(taken) < LARGEST])  # false for NaN
     for _ in range(2):
         most = max(math.ceil(CORE * len(numbers)), 2)
         if len(numbers) < most:

@@ -88,6 +88,7 @@ class SensorClock:
         row: clouds in a row that are more than `NOTICE_NS` behind ``confirmed_ns``; ``row_taken``: poses taken then.
         same: clouds in a row with the stamp of the one before; ``same_newest_ns``: the newest pose at the first.
         offset_ns: by how much the clock is ahead of the robot's, as far as known; 0 if it agrees.
+        late_ns: by how much its clouds come later than usual: a longer way, or a clock that is behind.
         usual_ns: the usual latency of its clouds, less that of the odometry; None until known.
         ahead: windows in a row in which the clock was ahead.
         integrated: clouds integrated, up to `SETTLED`.
@@ -105,6 +106,7 @@ class SensorClock:
     same: int = 0
     same_newest_ns: int = -1
     offset_ns: int = 0
+    late_ns: int = 0
     usual_ns: int | None = None
     ahead: int = 0
     integrated: int = 0
@@ -166,7 +168,7 @@ class SensorClock:
         """Begin anew: the robot's clock went back, and the sensor's with it, or the map was emptied."""
         self.confirmed_ns = -1
         self.fenced = False
-        self.leapt = self.row = self.same = self.offset_ns = self.ahead = self.integrated = 0
+        self.leapt = self.row = self.same = self.offset_ns = self.late_ns = self.ahead = self.integrated = 0
         self.usual_ns = None
         self.window = Window()
 
@@ -206,10 +208,13 @@ class SensorClock:
         if self.usual_ns is None:
             if self.integrated >= SETTLED:
                 self.usual_ns = later_ns
+            elif self.offset_ns and -NOTICE_NS <= later_ns <= LIMIT_NS:
+                self._agree()  # it fell back from a wrong time to the right one
             return
         sooner = self.usual_ns - later_ns
+        self.late_ns = -sooner if sooner < -NOTICE_NS else 0
         if abs(sooner) <= NOTICE_NS:
-            self.offset_ns = self.ahead = 0
+            self._agree()
         elif sooner > 0:
             self.ahead += 1
             # Clouds that queued on their way come sooner once the queue is empty, but never before the odometry.
@@ -217,6 +222,12 @@ class SensorClock:
                 self.offset_ns = sooner
         else:
             self.ahead = 0
+
+    def _agree(self) -> None:
+        """The clock agrees with the robot's: stamps from when it did not are forgotten."""
+        if self.offset_ns:
+            self.confirmed_ns, self.leapt = -1, 0
+        self.offset_ns = self.ahead = self.row = 0
 
     def to_state(self) -> dict[str, Any]:
         """Return everything as JSON values."""

@@ -40,6 +40,7 @@ class Settings:
     """The settings that poses, decisions and integration depend on.
 
     ``max_poses`` and ``max_transforms`` differ from the constants only in logs of versions that had settings for them.
+    ``rules`` are those of the log.
     """
 
     def __init__(

@@ -42,13 +42,11 @@ class NobodyListens(ReportedError):
 class RoverPublisher:
     """Publishers of several robots on one session; a context manager.
 
-    `patient` says what happens when the network can't keep up. A live robot drops clouds and poses (congestion control
-    DROP), since the next scan is better than an old one; the service counts the gap from `message_seq`. A recording
-    waits (BLOCK): that loses nothing unless a peer hangs for seconds.
+    When the network can't keep up, they wait (congestion control BLOCK; Zenoh's default drops without a word). That
+    loses nothing unless a peer hangs for seconds; the service then counts the gap from `message_seq`.
     """
 
-    def __init__(self, session: zenoh.Session, robots: Iterable[str], *, patient: bool = False) -> None:
-        control = zenoh.CongestionControl.BLOCK if patient else zenoh.CongestionControl.DROP
+    def __init__(self, session: zenoh.Session, robots: Iterable[str]) -> None:
         self.published = Published()
         self._sequence: dict[tuple[str, Kind], int] = {}
         self._publishers: dict[tuple[str, Kind], zenoh.Publisher] = {}
@@ -58,7 +56,7 @@ class RoverPublisher:
                 self._publishers[robot, kind] = session.declare_publisher(
                     TEMPLATES[kind].format(robot=robot),
                     encoding=encoding,
-                    congestion_control=control,
+                    congestion_control=zenoh.CongestionControl.BLOCK,
                     # Poses overtake clouds: they are small, and clouds wait for them.
                     priority=zenoh.Priority.DATA_HIGH if kind == "odometry" else zenoh.Priority.DATA,
                 )

@@ -86,7 +86,7 @@ def _free(directory: Path) -> int:
 
 
 class Metrics(Collector):
-    """All metrics of one service; ``problems`` returns those of its readiness."""
+    """All metrics of one service; ``problems`` returns those of its readiness, ``lost`` the sentences on its inputs."""
 
     def __init__(
         self,
@@ -94,6 +94,7 @@ class Metrics(Collector):
         counters: Counters,
         figures: Callable[[], PartFigures],
         problems: Callable[[], Mapping[Problem, str]],
+        lost: Callable[[], Mapping[str, str]],
         disk: Disk,
         memory_limit: int,
     ) -> None:
@@ -101,6 +102,7 @@ class Metrics(Collector):
         self._counters = counters
         self._figures = figures
         self._problems = problems
+        self._lost = lost
         self._disk = disk
         self._memory_limit = memory_limit
         self._registry = CollectorRegistry()
@@ -170,6 +172,13 @@ class Metrics(Collector):
         yield _gauge("ready", "1 if the service accepts messages and answers queries.", value=is_ready(problems))
         present = {str(problem): problem in problems for problem in Problem}
         yield _gauge("problem", "1 for each current problem.", "problem", present)
+        lost = GaugeMetricFamily(
+            "roughmap_input_lost", "1 for each robot or sensor whose messages come to nothing.",
+            labels=["subject", "text"],
+        )  # fmt: skip
+        for subject, text in self._lost().items():
+            lost.add_metric([subject, text], 1)
+        yield lost
         health = {state: status.health == state for state in ("ok", "overloaded", "degraded")}
         yield _gauge("health", "1 for the current state of health.", "state", health)
         yield _gauge("log_ok", "1 if the log can be written.", value=status.log.ok)

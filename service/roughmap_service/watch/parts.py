@@ -12,6 +12,7 @@ from roughmap_service.engine.sequencer import Sequencer
 from roughmap_service.host.counters import Counters
 from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.queue import InputQueue
+from roughmap_service.inputs.streams import Streams
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.store.memory_limit import MemoryLimit
 from roughmap_service.store.snapshots import Snapshots
@@ -30,6 +31,7 @@ class RunningParts:
     snapshots: Snapshots
     memory: MemoryLimit
     counters: Counters
+    streams: Streams
     _stalled: bool = False
 
     def problems(self) -> dict[Problem, str]:
@@ -38,6 +40,7 @@ class RunningParts:
             alive=self.sequencer.alive, turned=self.sequencer.turned, failure=self.sequencer.failure,
             log_ok=self.writer.ok, log_error=self.writer.error, memory_ok=self.memory.ok,
             store_ok=self.snapshots.ok, store_error=self.snapshots.error, overloaded=self.counters.overloaded,
+            lost=self.streams.problems().values(),
         )  # fmt: skip
 
     def watch(self) -> None:
@@ -86,5 +89,8 @@ def connect_pages(
 
     store = None if config.store.path is None else Path(config.store.path)
     disk = Disk(Path(config.log.directory), store, parts.memory.spill.path)
-    metrics = Metrics(status, parts.counters, figures, sources.readiness.problems, disk, config.map.memory_limit)
+    metrics = Metrics(
+        status, parts.counters, figures, sources.readiness.problems, parts.streams.problems, disk,
+        config.map.memory_limit,
+    )  # fmt: skip
     sources.status, sources.metrics = status, metrics.text

@@ -5,9 +5,10 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
+from typing import Final, Literal
 
 from roughmap_schemas.messages import MapStatus
+from roughmap_service.inputs.streams import limited
 
 STALLED_SECONDS = 10.0
 """The sequencer counts as stalled after this time without a turn. When idle it turns twice a second; when busy, a turn
@@ -25,9 +26,22 @@ class Problem(StrEnum):
     MEMORY_FULL = "memory_full"
     SNAPSHOT_FAILED = "snapshot_failed"
     OVERLOADED = "overloaded"
+    INPUT_LOST = "input_lost"
 
 
-NOT_BLOCKING = frozenset({Problem.SNAPSHOT_FAILED})
+SUBJECTS: Final = {
+    Problem.STARTING: "service",
+    Problem.SHUTTING_DOWN: "service",
+    Problem.SEQUENCER_STALLED: "sequencer",
+    Problem.SEQUENCER_DEAD: "sequencer",
+    Problem.LOG_NOT_WRITABLE: "log",
+    Problem.MEMORY_FULL: "memory",
+    Problem.SNAPSHOT_FAILED: "store",
+    Problem.OVERLOADED: "overload",
+}
+"""Under which subject a status lists a problem. Lost input has the robots and sensors as subjects."""
+
+NOT_BLOCKING = frozenset({Problem.SNAPSHOT_FAILED, Problem.INPUT_LOST})
 """Problems with which the service still accepts messages and answers queries: it stays ready, but is `degraded`."""
 
 
@@ -41,6 +55,12 @@ def health_of(problems: Collection[Problem]) -> Literal["ok", "overloaded", "deg
     if not problems:
         return "ok"
     return "overloaded" if set(problems) == {Problem.OVERLOADED} else "degraded"
+
+
+def told(problems: Mapping[Problem, str], lost: Mapping[str, str]) -> dict[str, str]:
+    """Return what a status lists: the sentence on each subject, those of the service first, then what is lost."""
+    found = {SUBJECTS[problem]: text for problem, text in problems.items() if problem is not Problem.INPUT_LOST}
+    return limited({**found, **lost})
 
 
 OVERLOADED_TEXT = "input arrives faster than it can be integrated; the oldest clouds are dropped and counted"
@@ -80,10 +100,12 @@ def running_problems(
     store_ok: bool,
     store_error: str,
     overloaded: bool,
+    lost: Collection[str] = (),
 ) -> dict[Problem, str]:
     """Return the problems of a running service.
 
-    ``turned`` is the monotonic time, in seconds, at which the sequencer began its last turn.
+    ``turned`` is the monotonic time, in seconds, at which the sequencer began its last turn; ``lost`` are the sentences
+    on robots and sensors whose messages come to nothing, which become one text of a line each.
     """
     found: dict[Problem, str] = {}
     idle_s = time.monotonic() - turned
@@ -100,6 +122,8 @@ def running_problems(
         found[Problem.SNAPSHOT_FAILED] = f"the store can't be written: {store_error}; the log holds everything"
     if overloaded:
         found[Problem.OVERLOADED] = OVERLOADED_TEXT
+    if lost:
+        found[Problem.INPUT_LOST] = "\n".join(lost)
     return found
 
 

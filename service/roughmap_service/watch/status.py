@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
@@ -31,7 +31,7 @@ from roughmap_service.host.counters import Counters
 from roughmap_service.host.log_lines import note
 from roughmap_service.run.view import View
 from roughmap_service.store.memory_limit import memory_bytes
-from roughmap_service.watch.readiness import OVERLOADED_TEXT, Problem, health_of
+from roughmap_service.watch.readiness import OVERLOADED_TEXT, SUBJECTS, Problem, health_of, told
 
 logger = logging.getLogger(__name__)
 
@@ -41,13 +41,17 @@ PERIOD_SECONDS = 1.0
 
 @dataclass(frozen=True, slots=True)
 class RunProgress:
-    """The part of the status that the running parts report, at one moment."""
+    """The part of the status that the running parts report, at one moment.
+
+    ``problems`` are the service's, each with its cause; ``lost`` are the sentences on robots and sensors.
+    """
 
     durable_sequence: int = 0
     input: int = 0
     newest_stamp_ns: int = 0
     waiting: int = 0
-    problems: Collection[Problem] = ()
+    problems: Mapping[Problem, str] = field(default_factory=dict)
+    lost: Mapping[str, str] = field(default_factory=dict)
     log: LogState = field(default_factory=LogState)
 
 
@@ -114,6 +118,7 @@ class Status:
             refused={Refusal(reason): n for reason, n in counts.refused.items()},
             gaps=dict(counts.gaps),
             jumps=dict(counts.jumps),
+            problems=told(progress.problems, progress.lost),
             lag_s=Lag(p50=lag.p50, p99=lag.p99),
             rates=Rates(clouds=clouds, points=points, poses=poses),
             memory_bytes=memory_bytes(),
@@ -181,11 +186,12 @@ class Overload:
     def watch(self, status: MapStatus) -> None:
         """Take the next status, in order of time."""
         dropped = status.clouds.rejected.get(CloudReason.OVERLOAD, 0) + status.refused.get(Refusal.BUSY, 0)
-        if status.health == "overloaded" and not self._begun:
+        own = status.problems.keys() & SUBJECTS.values()  # what is wrong with the service itself
+        if own == {SUBJECTS[Problem.OVERLOADED]} and not self._begun:
             self._begun = True
             text = f"overloaded: {OVERLOADED_TEXT}"
             note(logger, logging.WARNING, "overload_begun", text, always=True, waiting=status.clouds.waiting)
-        elif status.health == "ok":
+        elif not own:
             if self._begun:
                 lost = dropped - self._before
                 text = f"no longer overloaded; {lost} messages were dropped or refused"

@@ -4,7 +4,7 @@ import json
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
@@ -14,6 +14,7 @@ from roughmap_service.cli.options import Failure, config_options, json_option, l
 if TYPE_CHECKING:
     import zenoh
 
+    from roughmap_client import RoughMapClient
     from roughmap_schemas.config_load import LoadedConfig
     from roughmap_schemas.messages import MapStatus
 
@@ -28,7 +29,7 @@ STATUS_S = 10.0
 @click.option(
     "--seconds",
     type=click.FloatRange(0, 600),
-    default=5.0,
+    default=8.0,
     show_default=True,
     help="How long to listen to the robots, in seconds; 0: do not listen.",
 )
@@ -38,8 +39,9 @@ def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, 
     """roughmap doctor
 
     Check that mapping can work with this configuration: directories and disk space, memory, clock, ports,
-    certificates, exposure to the network, Zenoh peers, and what the robots publish (frames, rates, per-point times,
-    poses and their covariance). Print each finding, and below it the remedy if something is wrong.
+    certificates, exposure to the network, Zenoh peers, and what the robots publish: frames, rates and losses, stamps
+    and clocks, per-point times, poses, their leaps and covariances, transforms, and what clouds are made of. Print each
+    finding, and below it the remedy if something is wrong, with settings to paste into the configuration file.
 
     If the service is running, doctor connects to it. If not, doctor opens the Zenoh session that it would open.
     Exit code 1 if anything is wrong.
@@ -56,11 +58,12 @@ def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, 
     findings += doctor_security.zenoh_access(loaded)
     findings += [found] if (found := doctor_security.http_access(config.http)) else []
     with ExitStack() as stack:
-        session, running, found_there = _session(loaded, stack)
-        findings += [doctor_machine.http_port(config, running=running), *found_there]
-        if session is not None and seconds > 0:
+        beside = _session(loaded, stack)
+        findings += [doctor_machine.http_port(config, running=beside.running), *beside.findings]
+        if beside.session is not None and seconds > 0:
             click.echo(f"listening for {seconds:g} s ...", err=True)
-            findings += _traffic(session, loaded, seconds)
+            findings += _traffic(beside.session, loaded, seconds)
+            findings += _meanwhile(beside)
     wrong = any(finding.verdict == "wrong" for finding in findings)
     if as_json:
         click.echo(json.dumps({"ok": not wrong, "findings": [finding.as_json() for finding in findings]}))
@@ -69,7 +72,17 @@ def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, 
     return 1 if wrong else 0
 
 
-def _session(loaded: "LoadedConfig", stack: ExitStack) -> tuple["zenoh.Session | None", bool, list[Finding]]:
+class Beside(NamedTuple):
+    """The session to listen on (None: there is none), whether the service is running, and what it said."""
+
+    session: "zenoh.Session | None"
+    running: bool
+    findings: list[Finding]
+    client: "RoughMapClient | None" = None
+    status: "MapStatus | None" = None
+
+
+def _session(loaded: "LoadedConfig", stack: ExitStack) -> Beside:
     """Open a session with the running service, or the one that the service would open; tell whether it is running."""
     from roughmap_client import RoughMapClient
     from roughmap_client.errors import RoughMapError
@@ -87,7 +100,7 @@ def _session(loaded: "LoadedConfig", stack: ExitStack) -> tuple["zenoh.Session |
         status = client.status()
         text = f"the service has been up for {status.uptime_s:.0f} s, health {status.health}; listening beside it"
         verdict = Finding("zenoh", "ok" if status.health == "ok" else "wrong", text)
-        return session, True, [verdict, *_refused(status), *_peers(loaded)]
+        return Beside(session, True, [verdict, *_refused(status), *_peers(loaded)], client, status)
     except (Failure, RoughMapError, ConfigFault) as error:
         stack.close()  # no service, or that of another map
         if config.http.listen is not None and served_map(config) == config.map.name:
@@ -96,14 +109,15 @@ def _session(loaded: "LoadedConfig", stack: ExitStack) -> tuple["zenoh.Session |
             if bare:
                 text = "the service is up; doctor has no certificate to connect to it and to receive what robots send"
                 remedy = "`roughmap top --zenoh FILE` with a planner's certificate shows what comes in (SECURITY.md)"
-            return None, True, [Finding("zenoh", "note", text, remedy)]
+            return Beside(None, True, [Finding("zenoh", "note", text, remedy)])
     try:
         session = stack.enter_context(open_session(zenoh_config(loaded)))
     except (TransportError, ConfigFault) as error:
-        return None, False, [Finding("zenoh", "wrong", str(error), "stop the other program, or change zenoh.listen")]
+        remedy = "stop the other program, or change zenoh.listen"
+        return Beside(None, False, [Finding("zenoh", "wrong", str(error), remedy)])
     where = ", ".join(endpoint.partition("#")[0] for endpoint in config.zenoh.listen) or "nowhere"
     text = f"no service is running; listening in its place on {where}"
-    return session, False, [Finding("zenoh", "ok", text), *_peers(loaded)]
+    return Beside(session, False, [Finding("zenoh", "ok", text), *_peers(loaded)])
 
 
 def _refused(status: "MapStatus") -> list[Finding]:
@@ -132,6 +146,19 @@ def _peers(loaded: "LoadedConfig") -> list[Finding]:
             text = f"zenoh.connect: {shown} answered in {(time.monotonic() - begun) * 1e3:.0f} ms"
             findings.append(Finding("zenoh", "ok", text))
     return findings
+
+
+def _meanwhile(beside: Beside) -> list[Finding]:
+    """Ask the running service once more: what it made of the messages, and what it calls a problem."""
+    from roughmap_client.errors import RoughMapError
+    from roughmap_service.cli.doctor.service import judge_service
+
+    if beside.client is None or beside.status is None:
+        return []
+    try:
+        return judge_service(beside.status, beside.client.status())
+    except RoughMapError as error:
+        return [Finding("service", "wrong", f"the service no longer answers: {error}", "look at its log lines")]
 
 
 def _traffic(session: "zenoh.Session", loaded: "LoadedConfig", seconds: float) -> list[Finding]:

@@ -1,11 +1,14 @@
 """What `roughmap doctor` finds, and how it is printed."""
 
+import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import click
 
 from roughmap_service.host.log_lines import printable
+from roughmap_service.inputs.remedies import toml_key
 
 Verdict = Literal["ok", "note", "wrong"]
 
@@ -14,16 +17,35 @@ COLOURS = {"ok": "green", "note": "yellow", "wrong": "red"}
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of one check: its area, what was found, and the remedy if something is wrong."""
+    """The result of one check: its area, what was found, and the remedy if something is wrong.
+
+    ``settings`` are lines of TOML that the remedy means, to be pasted into the configuration.
+    """
 
     area: str
     verdict: Verdict
     text: str
     remedy: str = ""
+    settings: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the finding as a JSON object."""
         return asdict(self)
+
+
+def table(names: tuple[str, ...], values: Mapping[str, object]) -> str:
+    """Return a TOML table: its name in parts, which are quoted where they must be, and its values."""
+    lines = [f"[{'.'.join(toml_key(name) for name in names)}]"]
+    lines += [f"{name} = {_value(value)}" for name, value in values.items()]
+    return "\n".join(lines)
+
+
+def _value(value: object) -> str:
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(_value(item) for item in value)}]"
+    return repr(value)
 
 
 def show(findings: list[Finding]) -> None:
@@ -34,5 +56,7 @@ def show(findings: list[Finding]) -> None:
         click.echo(f"{head}  {finding.area:{width}}  {printable(finding.text)}")
         if finding.remedy:
             click.echo(f"{'':5}  {'':{width}}  -> {printable(finding.remedy)}")
+        for line in finding.settings.splitlines():
+            click.echo(f"{'':5}  {'':{width}}       {printable(line)}")
     wrong, notes = (sum(finding.verdict == verdict for finding in findings) for verdict in ("wrong", "note"))
     click.echo(f"{wrong} wrong, {notes} {'note' if notes == 1 else 'notes'}, {len(findings) - wrong - notes} ok")

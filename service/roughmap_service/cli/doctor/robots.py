@@ -1,145 +1,217 @@
-"""Checks of what the robots publish: whether it can become a map."""
+"""Judges what each robot publishes: whether it can become a map."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
 
 from roughmap_schemas.config import Config
-from roughmap_service.cli.doctor.findings import Finding
-from roughmap_service.cli.doctor.traffic import Heard, Stream, Traffic, largest_gap, pose_waits
+from roughmap_schemas.kinds import Kind
+from roughmap_service.cli.doctor.clocks import judge_machine_clock, judge_sensor_clock
+from roughmap_service.cli.doctor.clouds import judge_frame, judge_points
+from roughmap_service.cli.doctor.covariances import judge_covariances
+from roughmap_service.cli.doctor.findings import Finding, Verdict
+from roughmap_service.cli.doctor.heard import NS, Heard, Robot, Tally, rate, times
+from roughmap_service.cli.doctor.poses import judge_frames, judge_poses
+from roughmap_service.cli.doctor.stamps import Course, clean, course, judge_stamps
+from roughmap_service.cli.doctor.times import Times, judge_times, read_times
+from roughmap_service.cli.doctor.traffic import Traffic
+from roughmap_service.cli.doctor.waits import pose_waits
 
-CLOCK_S = 1.0
-"""Seconds. Stamps further than this from this machine's clock come from another clock, or from a recording."""
+LOST = 0.01
+"""Part of the messages that may be lost on the way."""
+
+SILENT_S = 1.0
+SILENT = 10
+"""A pause longer than this many seconds, and than this many usual distances of messages, is told."""
+
+
+class Odometry(NamedTuple):
+    """A robot's odometry as far as clouds are compared with it: the course of its stamps, and those that rise."""
+
+    course: Course
+    rising: list[Heard]
 
 
 def judge(traffic: Traffic, config: Config, seconds: float) -> list[Finding]:
     """Return the findings on the traffic of the last ``seconds``."""
-    findings = [
-        finding for robot, heard in sorted(traffic.robots.items()) for finding in _robot(robot, heard, traffic, config)
-    ]
-    silent = sorted(set(config.input.robots) - set(traffic.robots))
-    if silent and traffic.robots:
-        findings.append(
-            Finding("robots", "note", f"nothing from {', '.join(silent)} (input.robots)", "check that they are on")
-        )
-    frames = {frame for heard in traffic.robots.values() for frame in heard.cloud_frames}
+    robots = traffic.robots
+    findings = [finding for name in sorted(robots) for finding in _robot(name, robots, config, traffic.ended_ns)]
+    silent = sorted(set(config.input.robots) - set(robots))
+    if silent and robots:
+        text = f"nothing from {', '.join(silent)} (input.robots)"
+        findings.append(Finding("robots", "note", text, "check that they are on"))
+    frames = {frame for robot in robots.values() for frame in robot.sensors}
     unheard = sorted(set(config.sensors) - frames)
-    if not traffic.robots:
+    if not robots:
         keys = config.keys["points"].replace("{robot}", "*")
         remedy = "start the robots; they must connect to this service's zenoh.listen, or it to them (zenoh.connect)"
-        findings.append(
-            Finding("robots", "wrong", f"no messages on {keys} or its sibling keys within {seconds:g} s", remedy)
-        )
+        text = f"no messages on {keys} or its sibling keys within {seconds:g} s"
+        findings.append(Finding("robots", "wrong", text, remedy))
     elif unheard:
         text = f"no cloud of sensor {', '.join(unheard)} within {seconds:g} s"
         findings.append(Finding("sensors", "note", text, "check that it is on and that its clouds have this frame_id"))
+    if traffic.missed:
+        text = f"{traffic.missed} messages came faster than doctor could read them, and are not judged"
+        findings.append(Finding("robots", "note", text, "run doctor on another machine, or with a shorter --seconds"))
     return findings
 
 
-def _robot(robot: str, heard: Heard, traffic: Traffic, config: Config) -> list[Finding]:
+def _robot(name: str, robots: dict[str, Robot], config: Config, ended_ns: int) -> list[Finding]:
+    robot = robots[name]
     findings: list[Finding] = []
-    if config.input.robots and robot not in config.input.robots:
-        findings.append(Finding(robot, "wrong", "is not in input.robots: all its messages are refused", "add it there"))
-    for name, stream in (("clouds", heard.clouds), ("odometry", heard.poses), ("transforms", heard.transforms)):
-        findings += _readable(robot, name, stream)
-    findings += _clouds(robot, heard, config)
-    placed_only = set(heard.cloud_frames) <= {config.map.frame_id}
-    if heard.poses.times:
-        findings += _poses(robot, heard, config)
-        if heard.clouds.times and not placed_only:
-            findings += _together(robot, heard, traffic, config)
-    elif heard.clouds.times and not placed_only:
-        remedy = f"publish the localisation's poses on {config.keys['odometry'].replace('{robot}', robot)}"
-        findings.append(Finding(robot, "wrong", "no odometry: its clouds can't be placed", remedy))
+    if config.input.robots and name not in config.input.robots:
+        findings.append(Finding(name, "wrong", "is not in input.robots: all its messages are refused", "add it there"))
+    for kind, what in ((Kind.POINTS, "clouds"), (Kind.ODOMETRY, "odometry"), (Kind.TRANSFORM, "transforms")):
+        findings += _readable(name, what, robot.tallies[kind])
+    heard, transforms = list(robot.poses), list(robot.transforms)
+    poses = times(heard)
+    odometry = Odometry(followed := course(poses), clean(poses, followed))
+    placed_only = set(robot.sensors) <= {config.map.frame_id}
+    findings += judge_frames(name, heard, transforms, config)
+    if heard:
+        findings += judge_stamps(name, "poses", poses, poses=True)
+        findings += judge_poses(name, heard, odometry.course.rows, config)
+        findings += judge_covariances(name, heard, _ranges(robot), config)
+    elif robot.sensors and not placed_only:
+        remedy = f"publish the localisation's poses on {config.keys['odometry'].replace('{robot}', name)}"
+        findings.append(Finding(name, "wrong", "no odometry: its clouds can't be placed", remedy))
+    for frame in sorted(robot.sensors):
+        findings += _sensor(name, frame, robots, odometry, config, ended_ns)
+    if odometry.rising or robot.sensors:
+        findings += judge_machine_clock(name, odometry.rising)
+    findings += _numbers(name, robot)
     return findings
 
 
-def _readable(robot: str, name: str, stream: Stream) -> list[Finding]:
-    if not stream.faults:
+def _sensor(
+    name: str, frame: str, robots: dict[str, Robot], odometry: Odometry, config: Config, ended_ns: int
+) -> list[Finding]:
+    sensor = robots[name].sensors[frame]
+    heard = times(sensor.clouds)
+    each = sum(cloud.points for cloud in sensor.clouds) / len(sensor.clouds)
+    text = f"clouds at {rate(heard):.1f} Hz, {each:,.0f} points each, in {frame!r}"
+    findings = [Finding(name, "ok", text), *judge_frame(name, frame, config)]
+    if frame == config.map.frame_id:
+        return findings
+    names, settings = _table(name, frame, robots, config), config.sensor(name, frame)
+    findings += judge_stamps(name, f"clouds in {frame!r}", heard, poses=False)
+    samples = list(sensor.samples)
+    found = read_times(samples, settings)
+    if found is not None:
+        findings += judge_times(name, frame, samples, found, settings, names)
+    findings += judge_points(name, frame, sensor, config, names)
+    if settings is not None:
+        findings += _beside_odometry(name, frame, heard, found, odometry, config, ended_ns, settings.time_offset, names)
+    return findings
+
+
+def _beside_odometry(
+    name: str,
+    frame: str,
+    heard: Sequence[Heard],
+    found: Times | None,
+    odometry: Odometry,
+    config: Config,
+    ended_ns: int,
+    time_offset: float,
+    table_names: tuple[str, ...],
+) -> list[Finding]:
+    """Compare a sensor's clouds with the odometry of its robot, by the times of their last points."""
+    stamps = course(heard)
+    if not odometry.rising or not stamps.rows or stamps.is_frozen or odometry.course.is_frozen:
         return []
-    fault, number = stream.faults.most_common(1)[0]
-    text = f"{stream.faults.total()} of {stream.number} {name} can't be read; {number}: {fault}"
+    last_ns = round(time_offset * NS) + (0 if found is None else found.last_ns)
+    ends = [Heard(cloud.arrival_ns, cloud.stamp_ns + last_ns) for cloud in clean(heard, stamps)]
+    stepped = bool(stamps.steps or odometry.course.steps)
+    findings = judge_sensor_clock(
+        name, frame, ends, odometry.rising, table_names=table_names, time_offset=time_offset, stepped=stepped
+    )
+    if not stepped and not any(finding.verdict == "wrong" for finding in findings):
+        findings += _waits(name, frame, ends, odometry.rising, config, ended_ns)
+        findings += _rates(name, frame, ends, odometry.rising)
+    return findings
+
+
+def _table(name: str, frame: str, robots: dict[str, Robot], config: Config) -> tuple[str, ...]:
+    """Return the name of the sensor's table, in parts: the robot's own one if it has that or others share the frame."""
+    own = config.robots.get(name)
+    others = any(frame in robot.sensors for other, robot in robots.items() if other != name)
+    if (own is not None and frame in own.sensors) or (others and frame in config.sensors):
+        return "robots", name, "sensors", frame
+    return "sensors", frame
+
+
+def _readable(robot: str, what: str, tally: Tally) -> list[Finding]:
+    if not tally.faults:
+        return []
+    fault, number = tally.faults.most_common(1)[0]
+    text = f"{tally.faults.total()} of {tally.number} {what} can't be read; {number}: {fault}"
     return [Finding(robot, "wrong", text, "correct the publisher: README.md shows the expected messages")]
 
 
-def _clouds(robot: str, heard: Heard, config: Config) -> list[Finding]:
-    stream = heard.clouds
-    if not stream.times:
-        return []
-    each = heard.points / len(stream.times)
-    findings = [
-        Finding(
-            robot, "ok", f"clouds at {stream.rate:.1f} Hz, {each:,.0f} points each, in {_frames(heard.cloud_frames)}"
-        )
-    ]
-    for frame in heard.cloud_frames:
-        if frame != config.map.frame_id and config.sensor(robot, frame) is None:
-            text = f"clouds in frame {frame!r} are refused: it is neither the map's frame nor a configured sensor"
-            remedy = (
-                f"add [sensors.{frame}] with its translation, rotation and range_sigma, or correct the clouds' frame_id"
-            )
-            findings.append(Finding(robot, "wrong", text, remedy))
-    for frame, number in heard.timeless.items():
-        text = f"{number} of {heard.cloud_frames[frame]} clouds in {frame!r} have no per-point times (field t)"
-        remedy = "let the driver send them: without them, the robot's motion during a sweep smears the ground"
-        findings.append(Finding(robot, "note", text, remedy))
-    if stream.unnumbered == stream.number:
-        text = "clouds have no message_seq (8-byte attachment): lost clouds can't be counted"
-        remedy = "attach a number that rises by one, 8 bytes little-endian; this is optional"
-        findings.append(Finding(robot, "note", text, remedy))
-    return findings
+def _ranges(robot: Robot) -> tuple[float, float, float] | None:
+    """Return the distances in m that 10, 50 and 90 % of the points of a usual cloud don't reach."""
+    surveys = [one.ranges for sensor in robot.sensors.values() for one in sensor.surveys if one.returns]
+    if not surveys:
+        return None
+    near, middle, far, _ = np.median(np.array(surveys), axis=0)
+    return float(near), float(middle), float(far)
 
 
-def _poses(robot: str, heard: Heard, config: Config) -> list[Finding]:
-    stream, gap, most = heard.poses, largest_gap(heard.poses), config.input.max_pose_gap
-    findings = [Finding(robot, "ok", f"odometry at {stream.rate:.1f} Hz, in {_frames(heard.pose_frames)}")]
-    if gap > most:
-        text = (
-            f"poses were up to {gap:.2f} s apart; clouds across more than input.max_pose_gap = {most:g} s are rejected"
-        )
-        findings.append(Finding(robot, "wrong", text, "publish poses more often, or raise input.max_pose_gap"))
-    for frame in sorted(set(heard.pose_frames) - {config.map.frame_id} - heard.child_frames):
-        text = f"odometry in frame {frame!r} is rejected: no transform leads to {config.map.frame_id!r}"
-        remedy = f"publish that transform, or odometry in {config.map.frame_id!r}, or set map.frame_id"
-        # A transform may have been published once, before doctor listened.
-        findings.append(Finding(robot, "note" if not heard.transforms.number else "wrong", text, remedy))
-    if heard.bad_covariance:
-        text = f"{heard.bad_covariance} of {stream.number} poses have an invalid covariance: they are rejected"
-        remedy = "send 36 finite numbers, row by row, symmetric, without a negative diagonal; or leave it empty"
-        findings.append(Finding(robot, "wrong", text, remedy))
-    if heard.unknown_covariance:
-        text = f"{heard.unknown_covariance} of {stream.number} poses have no covariance"
-        sigma = ", ".join(f"{value:g}" for value in config.input.pose_sigma)
-        findings.append(
-            Finding(robot, "note", text, f"they get input.pose_sigma = [{sigma}]; check that it is realistic")
-        )
-    return findings
-
-
-def _together(robot: str, heard: Heard, traffic: Traffic, config: Config) -> list[Finding]:
-    """Check clouds against poses, and both against this machine's clock."""
-    findings = []
-    apart = heard.clouds.behind - heard.poses.behind
-    if abs(apart) > CLOCK_S:
-        text = f"stamps of clouds and odometry differ by {abs(apart):.1f} s: they come from different clocks"
-        findings.append(Finding(robot, "wrong", text, "synchronise scanner and localisation (PTP, NTP)"))
-    elif abs(heard.poses.behind) > CLOCK_S:
-        text = f"stamps are {heard.poses.behind:,.1f} s behind this machine's clock"
-        findings.append(
-            Finding(robot, "note", text, "harmless for the map; if this is not a recording, synchronise the clocks")
-        )
-    waits, without = pose_waits(heard, traffic.ended)
+def _waits(
+    robot: str, frame: str, clouds: Sequence[Heard], poses: Sequence[Heard], config: Config, ended_ns: int
+) -> list[Finding]:
+    """Judge how long clouds wait for the poses around them."""
+    waits, without = pose_waits(clouds, poses, ended_ns)
     limit = config.input.max_wait
     late = sum(wait > limit for wait in waits)
-    if without or late:
-        text = f"{without + late} of {len(waits) + without} clouds had no pose within input.max_wait = {limit:g} s"
-        findings.append(
-            Finding(
-                robot, "wrong", text, "make the localisation faster, or raise input.max_wait (and input.queue_limit)"
-            )
-        )
-    elif waits:
-        findings.append(
-            Finding(robot, "ok", f"poses follow their clouds within {max(waits):.2f} s (input.max_wait {limit:g} s)")
-        )
+    number = len(waits) + without
+    if without or late > LOST * number:
+        text = f"{without + late} of {number} clouds in {frame!r} had no pose within input.max_wait = {limit:g} s"
+        remedy = "make the localisation faster, or raise input.max_wait (and input.queue_limit)"
+        return [Finding(robot, "wrong", text, remedy)]
+    if waits:
+        text = f"poses follow clouds in {frame!r} within {max(waits):.2f} s (input.max_wait {limit:g} s)"
+        return [Finding(robot, "ok", text)]
+    return []
+
+
+def _rates(robot: str, frame: str, clouds: Sequence[Heard], poses: Sequence[Heard]) -> list[Finding]:
+    """Compare the rates of clouds and odometry: what happens between two poses is not seen."""
+    scans, odometry = rate(clouds), rate(poses)
+    if not 0.0 < odometry < scans:
+        return []
+    text = f"odometry at {odometry:.1f} Hz is slower than clouds in {frame!r} at {scans:.1f} Hz"
+    return [Finding(robot, "note", text, "publish poses more often: between two poses, a straight motion is assumed")]
+
+
+def _numbers(name: str, robot: Robot) -> list[Finding]:
+    """Judge messages that were lost on the way, and pauses."""
+    findings = []
+    for kind, what in ((Kind.POINTS, "clouds"), (Kind.ODOMETRY, "poses")):
+        tally = robot.tallies[kind]
+        if tally.numbers.lost:
+            sent = tally.number + tally.numbers.lost
+            verdict: Verdict = "wrong" if tally.numbers.lost > LOST * sent else "note"
+            text = f"{tally.numbers.lost} of {sent} {what} were lost on the way, by their message_seq"
+            remedy = "publish with CongestionControl.BLOCK, or with less data than the link carries"
+            findings.append(Finding(name, verdict, text, remedy))
+    clouds = robot.tallies[Kind.POINTS]
+    if clouds.number and clouds.unnumbered == clouds.number:
+        text = "clouds have no message_seq (8-byte attachment): lost clouds can't be counted"
+        remedy = "attach a number that rises by one, 8 bytes little-endian; this is optional"
+        findings.append(Finding(name, "note", text, remedy))
+    streams = {"poses": times(robot.poses)}
+    streams |= {f"clouds in {frame!r}": times(sensor.clouds) for frame, sensor in robot.sensors.items()}
+    for what, messages in streams.items():
+        findings += _pause(name, what, messages)
     return findings
 
 
-def _frames(counts: dict[str, int]) -> str:
-    return ", ".join(repr(frame) for frame in sorted(counts))
+def _pause(robot: str, what: str, messages: Sequence[Heard]) -> list[Finding]:
+    gaps = np.diff(np.array([message.arrival_ns for message in messages], np.int64)) / NS
+    if not len(gaps) or gaps.max() <= max(SILENT_S, SILENT * float(np.median(gaps))):
+        return []
+    text = f"no {what} came for {gaps.max():.1f} s meanwhile"
+    return [Finding(robot, "note", text, "look at the link and the publisher")]

@@ -1,161 +1,192 @@
-"""Counts and measures what robots publish while `roughmap doctor` listens."""
+"""Receives what robots publish while `roughmap doctor` listens."""
 
+import queue
 import threading
 import time
-from collections import Counter, deque
-from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
-import numpy as np
 import zenoh
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry as OdometryMessage
 
-from roughmap_schemas import Cloud, Keys, MessageFault, Odometry, check_encoding
+from roughmap_schemas import Cloud, Keys, MessageFault, Odometry, TimeField, check_encoding
 from roughmap_schemas.kinds import Kind
+from roughmap_schemas.wire import parse
+from roughmap_service.cli.doctor.heard import (
+    MAX_SAMPLES,
+    HeardCloud,
+    HeardPose,
+    HeardSensor,
+    HeardTransform,
+    Robot,
+)
+from roughmap_service.cli.doctor.survey import survey
+from roughmap_service.cli.doctor.times import TimeSample
 from roughmap_service.inputs.subscriptions import ENCODINGS
 from roughmap_service.run.decoding import decode
-from roughmap_service.run.placing import span
+from roughmap_service.run.point_times import NAMES
 from roughmap_service.run.settings import Settings
 
-MAX_KEPT = 20_000
-"""Stamps kept of one robot's poses or clouds."""
-
 MAX_FRAMES = 64
-"""Frames counted separately for one robot."""
+"""Frames, and kinds of faults, that are told apart for one robot."""
+
+MAX_NAME = 257
+"""Characters kept of a frame's name: a configured one has at most 256."""
+
+MAX_BYTES = 256 << 20
+"""Bytes of messages that may wait to be read, and of points' times that are kept."""
+
+MAX_SURVEYED = 64
+"""Sensors whose clouds are looked at more closely."""
+
+SURVEY_NS = 250_000_000
+"""Time between two clouds of a sensor that are looked at more closely."""
 
 
-@dataclass
-class Stream:
-    """One robot's messages of one kind.
+class Message(NamedTuple):
+    """A message as it arrived: ``number`` and ``source`` (its publisher) as far as it has them."""
 
-    ``times`` holds (arrival on the monotonic clock in s, first and last stamp in ns, by how much the last stamp is
-    behind this machine's clock in s).
-    """
-
-    number: int = 0
-    faults: Counter[str] = field(default_factory=Counter)
-    unnumbered: int = 0
-    times: deque[tuple[float, int, int, float]] = field(default_factory=lambda: deque(maxlen=MAX_KEPT))
-
-    @property
-    def rate(self) -> float:
-        """Messages per second, between the first and the last."""
-        if len(self.times) < 2:
-            return 0.0
-        return (len(self.times) - 1) / max(self.times[-1][0] - self.times[0][0], 1e-9)
-
-    @property
-    def behind(self) -> float:
-        """Seconds by which the stamps are behind this machine's clock (median)."""
-        return float(np.median([behind for *_, behind in self.times])) if self.times else 0.0
-
-
-@dataclass
-class Heard:
-    """What one robot published."""
-
-    clouds: Stream = field(default_factory=Stream)
-    poses: Stream = field(default_factory=Stream)
-    transforms: Stream = field(default_factory=Stream)
-    cloud_frames: Counter[str] = field(default_factory=Counter)
-    timeless: Counter[str] = field(default_factory=Counter)
-    """Clouds without per-point times, by frame."""
-    points: int = 0
-    pose_frames: Counter[str] = field(default_factory=Counter)
-    child_frames: set[str] = field(default_factory=set)
-    unknown_covariance: int = 0
-    bad_covariance: int = 0
+    kind: Kind
+    robot: str
+    payload: bytes
+    encoding: str
+    arrival_ns: int
+    number: int | None = None
+    source: str = ""
 
 
 class Traffic:
-    """Collects what robots publish, in `robots` by name."""
+    """Collects what robots publish, in `robots` by name.
+
+    Arrivals are in ns on this machine's clock as it stood at the beginning, so that they never leap.
+    """
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
+        self._surveyed = 0
+        self._sample_bytes = 0
+        self._waiting: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._lock = threading.Lock()
-        self.robots: dict[str, Heard] = {}
-        self.ended = 0.0
+        self._bytes = 0
+        self._base_ns = time.time_ns() - time.monotonic_ns()
+        self.robots: dict[str, Robot] = {}
+        self.ended_ns = 0
+        self.missed = 0
+        """Messages that arrived faster than they could be read."""
 
     def listen(self, session: zenoh.Session, keys: Keys, seconds: float) -> None:
         """Collect what is published within ``seconds``."""
         subscribers = []
-        for kind, key, parse in (
+        for kind, key, parse_key in (
             (Kind.POINTS, keys.points_any, keys.parse_points),
             (Kind.ODOMETRY, keys.odometry_any, keys.parse_odometry),
             (Kind.TRANSFORM, keys.transform_any, keys.parse_transform),
         ):
 
-            def take(sample: zenoh.Sample, kind: Kind = kind, parse: object = parse) -> None:
-                try:
-                    robot = parse(str(sample.key_expr))  # type: ignore[operator]
-                except MessageFault:
-                    return  # not a robot's key
-                attachment = sample.attachment
-                numbered = attachment is not None and len(attachment) == 8
-                self.take(kind, robot, sample.payload.to_bytes(), str(sample.encoding), numbered=numbered)
+            def arrive(sample: zenoh.Sample, kind: Kind = kind, parse_key: Any = parse_key) -> None:
+                self._arrive(sample, kind, parse_key)
 
-            subscribers.append(session.declare_subscriber(key, take))
-        threading.Event().wait(seconds)
+            subscribers.append(session.declare_subscriber(key, arrive))
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            self._take_next(left)
         for subscriber in subscribers:
             subscriber.undeclare()
-        self.ended = time.monotonic()
+        self.ended_ns = self._base_ns + time.monotonic_ns()
+        while self._take_next(0.0):
+            pass
 
-    def take(self, kind: Kind, robot: str, payload: bytes, encoding: str, *, numbered: bool) -> None:
-        """Count one message."""
-        arrival, now_ns = time.monotonic(), time.time_ns()
+    def _arrive(self, sample: zenoh.Sample, kind: Kind, parse_key: Any) -> None:
+        """Note a message, in one of Zenoh's threads: it is read elsewhere, so that the next one's arrival is right."""
+        arrival_ns = self._base_ns + time.monotonic_ns()
+        try:
+            robot = parse_key(str(sample.key_expr))
+        except MessageFault:
+            return  # not a robot's key
+        size = len(sample.payload)
         with self._lock:
-            if robot not in self.robots and len(self.robots) >= self._settings.max_robots:
+            if self._bytes + size > MAX_BYTES:
+                self.missed += 1
                 return
-            heard = self.robots.setdefault(robot, Heard())
-            streams = {Kind.POINTS: heard.clouds, Kind.ODOMETRY: heard.poses, Kind.TRANSFORM: heard.transforms}
-            stream = streams[kind]
-            stream.number += 1
-            stream.unnumbered += not numbered
-            try:
-                check_encoding(encoding, ENCODINGS[kind])
-                content = decode(kind, payload, self._settings)
-            except MessageFault as fault:
-                stream.faults[f"{fault.code}: {fault.message}" if len(stream.faults) < MAX_FRAMES else "others"] += 1
-                return
-            first, last = span(content) if isinstance(content, Cloud) else (content.stamp_ns, content.stamp_ns)
-            stream.times.append((arrival, first, last, (now_ns - last) / 1e9))
+            self._bytes += size
+        attachment = sample.attachment
+        number = None
+        if attachment is not None and len(attachment) == 8:
+            number = int.from_bytes(attachment.to_bytes(), "little")
+        source = "" if sample.source_info is None else str(sample.source_info.source_id)
+        self._waiting.put(
+            Message(kind, robot, sample.payload.to_bytes(), str(sample.encoding), arrival_ns, number, source)
+        )
+
+    def _take_next(self, wait_s: float) -> bool:
+        try:
+            message = self._waiting.get(timeout=wait_s) if wait_s > 0 else self._waiting.get_nowait()
+        except queue.Empty:
+            return False
+        with self._lock:
+            self._bytes -= len(message.payload)
+        self.take(message)
+        return True
+
+    def take(self, message: Message) -> None:
+        """Read one message and keep what the judgements need of it."""
+        if message.robot not in self.robots and len(self.robots) >= self._settings.max_robots:
+            return
+        robot = self.robots.setdefault(message.robot, Robot())
+        tally = robot.tallies[message.kind]
+        tally.number += 1
+        if message.number is None:
+            tally.unnumbered += 1
+        else:
+            tally.numbers.add(message.number, message.source)
+        try:
+            check_encoding(message.encoding, ENCODINGS[message.kind])
+            content = decode(message.kind, message.payload, self._settings)
             if isinstance(content, Cloud):
-                heard.points += len(content.points)
-                self._count(heard.cloud_frames, content.frame_id)
-                if content.offsets_ns is None:
-                    self._count(heard.timeless, content.frame_id)
+                self._take_cloud(message, content, robot)
             elif isinstance(content, Odometry):
-                self._count(heard.pose_frames, content.frame_id)
-                heard.bad_covariance += content.covariance_fault
-                heard.unknown_covariance += content.covariance is None and not content.covariance_fault
-            elif content.parent_frame_id == self._settings.frame_id and len(heard.child_frames) < MAX_FRAMES:
-                heard.child_frames.add(content.child_frame_id)
+                covariance = tuple(parse(message.payload, OdometryMessage).pose_covariance[:37])
+                robot.poses.append(
+                    HeardPose(
+                        message.arrival_ns, content.stamp_ns, content.frame_id[:MAX_NAME], content.position,
+                        content.rotation, covariance,
+                    )
+                )  # fmt: skip
+            else:
+                robot.transforms.append(
+                    HeardTransform(
+                        message.arrival_ns, content.stamp_ns, content.parent_frame_id[:MAX_NAME],
+                        content.child_frame_id,
+                        content.translation, content.rotation,
+                    )
+                )  # fmt: skip
+        except MessageFault as fault:
+            tally.faults[f"{fault.code}: {fault.message}" if len(tally.faults) < MAX_FRAMES else "others"] += 1
 
-    @staticmethod
-    def _count(counts: Counter[str], frame: str) -> None:
-        if frame in counts or len(counts) < MAX_FRAMES:
-            counts[frame] += 1
+    def _take_cloud(self, message: Message, cloud: Cloud, robot: Robot) -> None:
+        frame = cloud.frame_id[:MAX_NAME]
+        if frame not in robot.sensors and len(robot.sensors) >= MAX_FRAMES:
+            return
+        sensor = robot.sensors.setdefault(frame, HeardSensor())
+        begun = not sensor.clouds
+        sensor.clouds.append(HeardCloud(message.arrival_ns, cloud.stamp_ns, len(cloud.points)))
+        if begun:
+            self._surveyed += 1
+            sensor.looked_at = self._surveyed <= MAX_SURVEYED
+        if not sensor.looked_at:
+            return
+        if len(sensor.samples) < MAX_SAMPLES and len(cloud.points) > 1:
+            sample = self._sample(message.robot, cloud)
+            self._sample_bytes += sum(one.values.nbytes for one in sample.fields)
+            if self._sample_bytes <= MAX_BYTES:
+                sensor.samples.append(sample)
+        if begun or message.arrival_ns - sensor.surveyed_ns >= SURVEY_NS:
+            sensor.surveyed_ns = message.arrival_ns
+            sensor.surveys.append(survey(cloud.points, self._settings.config.map.cell_size))
 
-
-def pose_waits(heard: Heard, ended: float) -> tuple[list[float], int]:
-    """Return for each cloud how many seconds later the pose arrived that covers its end, and how many had none.
-
-    A cloud that arrived less than 1 s before ``ended``, the end of listening, does not count as one without a pose.
-    """
-    covered: list[tuple[float, int]] = []  # arrivals at which the newest stamp rose
-    for arrival, _, stamp, _ in heard.poses.times:
-        if not covered or stamp > covered[-1][1]:
-            covered.append((arrival, stamp))
-    stamps = np.array([stamp for _, stamp in covered], np.int64)
-    waits, without = [], 0
-    for arrival, _, last, _ in heard.clouds.times:
-        at = int(np.searchsorted(stamps, last))
-        if at < len(covered):
-            waits.append(max(covered[at][0] - arrival, 0.0))
-        elif ended - arrival > 1.0:
-            without += 1
-    return waits, without
-
-
-def largest_gap(stream: Stream) -> float:
-    """Return the largest difference of two neighbouring stamps, in s."""
-    stamps = np.unique(np.array([last for _, _, last, _ in stream.times], np.int64))
-    return float(np.diff(stamps).max()) / 1e9 if len(stamps) > 1 else 0.0
+    def _sample(self, robot: str, cloud: Cloud) -> TimeSample:
+        """Copy the fields of a cloud that may hold its points' times: they are views of the payload."""
+        configured = self._settings.config.sensor(robot, cloud.frame_id)
+        names = {*NAMES, configured.time_field} if configured is not None else set(NAMES)
+        fields = tuple(TimeField(one.name, one.values.copy()) for one in cloud.time_fields if one.name in names)
+        others = tuple(one.name for one in cloud.time_fields if one.name not in names)
+        return TimeSample(cloud.stamp_ns, fields, others)

@@ -1,0 +1,186 @@
+"""Judges a robot's poses: rate, gaps, frames and transforms, leaps, bursts, jitter."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from roughmap_schemas.config import Config
+from roughmap_service.cli.doctor.findings import Finding, table
+from roughmap_service.cli.doctor.heard import NS, HeardPose, HeardTransform, rate, times
+from roughmap_service.run.leaps import Leap, find_leap, motion_before
+from roughmap_service.run.poses import Pose
+
+BURST = 0.2
+"""A message that follows so soon belongs to a burst: as a part of the mean time between two."""
+
+MOSTLY = 0.4
+"""Part of the messages that must be in bursts to be told."""
+
+RESTLESS = 5.0
+"""m/s between neighbouring poses beyond the robot's own motion that are noise, and too much."""
+
+MAX_FOLLOWED = 5_000
+"""Poses in a row whose motion is followed: the last ones."""
+
+LATER_NS = NS
+"""A transform that is stamped so much later than all poses was stamped by another clock, or is static."""
+
+MAX_FRAMES = 64
+"""Frames of odometry that are told apart."""
+
+
+def judge_poses(robot: str, poses: Sequence[HeardPose], rows: Sequence[Sequence[int]], config: Config) -> list[Finding]:
+    """Judge how often the poses come and how they move; ``rows``: the indices of those with rising stamps."""
+    stamped = [[poses[at] for at in row] for row in rows]
+    frames = Counter(pose.frame_id for pose in poses)
+    text = f"odometry at {rate(times(poses)):.1f} Hz, in {named(frames)}"
+    findings = [Finding(robot, "ok", text)]
+    gap, most = largest_gap(stamped), config.input.max_pose_gap
+    if gap > most:
+        text = (
+            f"poses were up to {gap:.2f} s apart; clouds across more than input.max_pose_gap = {most:g} s are rejected"
+        )
+        findings.append(Finding(robot, "wrong", text, "publish poses more often, or raise input.max_pose_gap"))
+    burst = _bursts(robot, stamped)
+    findings += burst
+    for frame in sorted(frames)[:MAX_FRAMES]:
+        of_frame = [[pose for pose in row if pose.frame_id == frame] for row in stamped]
+        found, speed, jitter = motion(of_frame, config)
+        if found:
+            findings.append(_leapt(robot, found, config))
+        elif jitter is not None and not burst:
+            metres, restless = jitter
+            text = (
+                f"odometry in {frame!r} jitters by {metres * 100:.1f} cm from pose to pose: it seems to move at "
+                f"{restless:.0f} m/s, over longer times at {speed:.1f} m/s"
+            )
+            remedy = "publish a filter's output instead of single measurements, or less often"
+            findings.append(Finding(robot, "wrong", text, remedy))
+    return findings
+
+
+def largest_gap(rows: Sequence[Sequence[HeardPose]]) -> float:
+    """Return the largest difference of neighbouring stamps in s, within rows of rising stamps."""
+    return max((b.stamp_ns - a.stamp_ns for row in rows for a, b in pairwise(row)), default=0) / NS
+
+
+def motion(rows: Sequence[Sequence[HeardPose]], config: Config) -> tuple[list[Leap], float, tuple[float, float] | None]:
+    """Follow poses of one frame, in rows of rising stamps.
+
+    Return the leaps; the median speed in m/s over 0.1 s and more; and how far (m) and how fast (m/s) the poses move
+    from one to the next beside that motion, both medians, if that is restless.
+    """
+    limits = config.input.max_leap, config.input.max_acceleration, config.input.max_speed
+    leaps: list[Leap] = []
+    speeds: list[float] = []
+    off: list[tuple[float, float]] = []
+    for row in rows:
+        followed: list[Pose] = []
+        for heard in row[-MAX_FOLLOWED:]:
+            followed.append(Pose(heard.stamp_ns, heard.position, heard.rotation, None, 0, 0))
+            at = len(followed) - 1
+            leap = find_leap(followed, at, *limits)
+            if leap is not None:
+                leaps.append(leap)
+                followed[at] = replace(followed[at], leapt=True)
+            elif (before := motion_before(followed, at)) is not None:
+                speeds.append(math.hypot(*before.velocity))
+                seconds = (followed[at].stamp_ns - followed[at - 1].stamp_ns) * 1e-9
+                moved = [
+                    q - p - v * seconds
+                    for p, q, v in zip(followed[at - 1].position, heard.position, before.velocity, strict=True)
+                ]
+                off.append((math.hypot(*moved), math.hypot(*moved) / seconds))
+    metres, restless = (float(np.median([one[k] for one in off])) if off else 0.0 for k in (0, 1))
+    speed = float(np.median(speeds)) if speeds else 0.0
+    return leaps, speed, (metres, restless) if restless > RESTLESS else None
+
+
+def _leapt(robot: str, leaps: Sequence[Leap], config: Config) -> Finding:
+    worst = max(leaps, key=lambda leap: (leap.metres, leap.radians))
+    far = f"{worst.metres:.2f} m" if worst.metres > 0.01 else f"{worst.radians:.2f} rad"
+    text = (
+        f"odometry leapt {f'{len(leaps)} times, at most' if len(leaps) > 1 else 'by'} {far} within "
+        f"{worst.seconds * 1e3:.0f} ms: clouds across a leap are rejected (pose_jump)"
+    )
+    remedy = (
+        "let odometry run smoothly in a frame of its own (odom) and publish corrections as the transform from "
+        f"{config.map.frame_id!r} to it; if the robot does move so, raise input.max_acceleration or input.max_speed"
+    )
+    return Finding(robot, "wrong", text, remedy)
+
+
+def _bursts(robot: str, rows: Sequence[Sequence[HeardPose]]) -> list[Finding]:
+    """Judge poses whose stamps come in bursts: they were stamped when they arrived, not when they were measured."""
+    steps = np.array([b.stamp_ns - a.stamp_ns for row in rows for a, b in pairwise(row)], np.float64) / NS
+    if len(steps) < 8:
+        return []
+    short = steps < BURST * steps.mean()
+    if short.mean() < MOSTLY:
+        return []
+    number, apart, pause = 1 / (1 - short.mean()), np.median(steps[short]) * 1e3, np.median(steps[~short])
+    text = f"odometry is stamped in bursts: about {number:.0f} poses {apart:.1f} ms apart, then none for {pause:.2f} s"
+    remedy = "stamp each pose when it is measured, not when it arrives; while it is so, scans are placed by wrong times"
+    return [Finding(robot, "wrong", text, remedy)]
+
+
+def judge_frames(
+    robot: str, poses: Sequence[HeardPose], transforms: Sequence[HeardTransform], config: Config
+) -> list[Finding]:
+    """Judge whether all odometry can be brought into the map's frame, and the transforms that do it."""
+    frame_id = config.map.frame_id
+    lead = {one.child: one for one in transforms if one.parent == frame_id}
+    findings = []
+    for frame in sorted({pose.frame_id for pose in poses} - {frame_id} - set(lead))[:MAX_FRAMES]:
+        text = f"odometry in frame {frame!r} is rejected (pose_frame): no transform leads to {frame_id!r}"
+        if frame.strip("/") == frame_id.strip("/"):
+            text = f"odometry in frame {frame!r} is rejected (pose_frame): the map's frame is {frame_id!r}"
+            remedy = "publish it without the slash, or name the map's frame so (which needs a new run, --fresh):"
+            findings.append(Finding(robot, "wrong", text, remedy, table(("map",), {"frame_id": frame})))
+            continue
+        slashed = [one for one in (*lead, *(t.parent for t in transforms)) if one.strip("/") == frame.strip("/")]
+        remedy = f"publish that transform, or odometry in {frame_id!r}, or set map.frame_id"
+        if slashed:
+            remedy = f"use one name: transforms have {slashed[0]!r}, without or with a leading slash"
+        # A transform may have been published once, before doctor listened.
+        findings.append(Finding(robot, "wrong" if transforms else "note", text, remedy))
+    for parent in sorted({one.parent for one in transforms} - {frame_id})[:MAX_FRAMES]:
+        slash = parent.strip("/") == frame_id.strip("/")
+        text = f"transforms from {parent!r} are not used: the map's frame is {frame_id!r}"
+        remedy = (
+            "publish them without the slash"
+            if slash
+            else f"publish the transform from {frame_id!r} to the odometry's frame"
+        )
+        findings.append(Finding(robot, "wrong" if slash else "note", text, remedy))
+    for child in sorted(lead):
+        own = [pose for pose in poses if pose.frame_id == child]
+        findings += _later(
+            robot, child, own, [one for one in transforms if one.parent == frame_id and one.child == child]
+        )
+    return findings
+
+
+def _later(robot: str, child: str, poses: Sequence[HeardPose], transforms: Sequence[HeardTransform]) -> list[Finding]:
+    """Judge transforms that are stamped later than all the poses that need them."""
+    if not poses:
+        return []
+    newest = max(pose.stamp_ns for pose in poses)
+    early = min(one.stamp_ns for one in transforms)
+    ahead = early - newest
+    if ahead <= LATER_NS or newest == 0:
+        return []
+    text = f"the transform to {child!r} is stamped {ahead / NS:,.1f} s later than the poses: it holds as a static one"
+    if len({one.stamp_ns for one in transforms}) == 1:
+        return [Finding(robot, "note", text, "give a static transform the stamp 0")]
+    remedy = "let odometry and transforms be stamped by one clock; give a static transform the stamp 0"
+    return [Finding(robot, "wrong", text, remedy)]
+
+
+def named(frames: Sequence[str] | Counter[str]) -> str:
+    """Return names for a text, each in quotation marks."""
+    return ", ".join(repr(frame) for frame in sorted(frames)[:MAX_FRAMES])

@@ -1,0 +1,50 @@
+"""Judges what a running service made of the robots' messages while doctor listened."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from roughmap_schemas.messages import MapStatus
+from roughmap_service.cli.doctor.findings import Finding
+
+MOST = 0.9
+"""Part of the clouds, points or poses that must come to nothing to be wrong."""
+
+ENOUGH = 5
+"""Clouds or poses that must have been decided meanwhile."""
+
+
+def judge_service(before: MapStatus, after: MapStatus) -> list[Finding]:
+    """Compare two statuses of one service; the later one also names its problems."""
+    findings = [Finding(subject, "wrong", sentence, "") for subject, sentence in sorted(after.problems.items())]
+    if before.instance != after.instance:
+        return findings
+    for what, good, rejected in (
+        (
+            "clouds",
+            after.clouds.accepted - before.clouds.accepted,
+            _rise(before.clouds.rejected, after.clouds.rejected),
+        ),
+        (
+            "points",
+            after.points.accepted - before.points.accepted,
+            _rise(before.points.rejected, after.points.rejected),
+        ),
+        ("poses", after.poses.accepted - before.poses.accepted, _rise(before.poses.rejected, after.poses.rejected)),
+        ("messages", 0, _rise(before.refused, after.refused)),
+    ):
+        bad = sum(rejected.values())
+        reasons = ", ".join(f"{reason} {number:,}" for reason, number in rejected.items())
+        if what == "messages" and bad:
+            findings.append(
+                Finding("service", "note", f"refused {bad} messages meanwhile: {reasons}", "see above for the cause")
+            )
+        elif what == "points" and findings and findings[-1].area == "service":
+            continue  # those of clouds that came to nothing
+        elif bad >= ENOUGH and bad > MOST * (good + bad):
+            text = f"rejected {bad:,} of {good + bad:,} {what} meanwhile: {reasons}"
+            findings.append(Finding("service", "wrong", text, "see above for the cause"))
+    return findings
+
+
+def _rise(before: Mapping[Any, int], after: Mapping[Any, int]) -> dict[str, int]:
+    return {str(reason): rise for reason, number in after.items() if (rise := number - before.get(reason, 0)) > 0}

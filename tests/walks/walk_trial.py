@@ -1,0 +1,401 @@
+"""A walk: several robots with one fault each, at the same time, against one service; who named it, and how soon.
+
+The robots drive well for a while. Then doctor is started, the faults begin, and last they end again.
+"""
+
+import heapq
+import json
+import re
+import subprocess
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import walks_paths  # noqa: F401 - before what it makes importable
+import zenoh
+from net import WAIT_S, peer_config
+from processes import COMMAND, Service, environment
+from walk_faults import FAULTS, MAP_SETTINGS, Fault, FaultKind, Names
+from walker import SENSORS, Message, Walker
+
+from roughmap_client import RoughMapClient
+from roughmap_schemas import IntegrationEvent, MapStatus, decode_event
+from roughmap_schemas.kinds import Kind
+
+WELL_S = 5.0
+"""Seconds of good messages before a fault: until the sensors' clocks are known."""
+
+WELL_CLOUDS = 12
+"""Clouds of each sensor that must be in the map by then."""
+
+LISTEN_S = 6.0
+"""How long doctor listens."""
+
+SEEN_S = 1.5
+"""Seconds that doctor has listened when a fault begins of which it must see the beginning."""
+
+TOGETHER = 8
+"""Robots that walk at the same time."""
+
+POLL_S = 0.2
+
+NEAR_S = 0.5
+"""How far a time_offset may be from the right one, with latencies of a tenth of a second on a busy machine."""
+
+
+@dataclass
+class Told:
+    """Who named a fault, in seconds after it began, or for doctor after it could be seen; None: nobody yet."""
+
+    log: float | None = None
+    health: float | None = None
+    doctor: float | None = None
+    ended: float | None = None
+    """When the health was well again, after the fault's end."""
+    pasted: float | None = None
+    """When all was mapped by another service, with the settings that doctor gave."""
+    settings: str = ""
+    """These settings."""
+    wrong: list[str] = field(default_factory=list)
+    """What else was told, and must not be."""
+    said: dict[str, str] = field(default_factory=dict)
+    """The words."""
+
+
+@dataclass
+class Walk:
+    """One robot of a batch. ``on``: whether its fault is; times are wall seconds, 0 while it has not begun."""
+
+    name: str
+    fault: Fault
+    walker: Walker
+    told: Told = field(default_factory=Told)
+    on: bool = False
+    silent: bool = False
+    begun: float = 0.0
+    ended: float = 0.0
+    integrated: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def kind(self) -> FaultKind:
+        return FAULTS[self.name]
+
+    @property
+    def robot(self) -> str:
+        return f"robot {self.name}"
+
+    @property
+    def subject(self) -> str:
+        """Under which a problem must be listed."""
+        names = self.fault.names
+        if not names.of_sensor:
+            return self.robot
+        return f"{self.robot} sensor {self.fault.sensor or SENSORS[0]}"
+
+    def begin(self) -> None:
+        self.begun, self.on, self.silent = time.time(), True, False
+
+    def missing(self) -> list[str]:
+        """Who has not named it."""
+        names, told, walk_ends = self.fault.names, self.told, self.kind.ends
+        who = {
+            "log": (names.log or names.count) and told.log is None,
+            "health": names.health and told.health is None,
+            "doctor": names.doctor and told.doctor is None,
+            "end": names.health and walk_ends and told.ended is None,
+        }
+        return [one for one, lacks in who.items() if lacks]
+
+
+def draw(name: str, seed: int, lane: float = 0.0) -> Walk:
+    """Draw a robot with a fault of this kind."""
+    random = Random(f"{seed} {name}")
+    kind = FAULTS[name]
+    return Walk(name, kind.draw(random), Walker.draw(name, lane, random, timed=kind.timed))
+
+
+class Sender(threading.Thread):
+    """Sends the messages of all robots in real time, each as its fault makes it while that is on."""
+
+    def __init__(self, session: zenoh.Session, walks: Sequence[Walk]) -> None:
+        super().__init__(daemon=True)
+        self._session = session
+        self._walks = walks
+        self._stopped = threading.Event()
+        self._numbers: Counter[tuple[str, Kind]] = Counter()
+        self.late = 0.0
+        """Most seconds that a message was sent too late: this machine's own."""
+
+    def run(self) -> None:
+        born_ns, born = time.time_ns(), time.monotonic()
+        streams = [self._stream(walk, born_ns) for walk in self._walks]
+        for due, walk, message in heapq.merge(*streams, key=lambda sent: sent[0]):
+            left = born + due - time.monotonic()
+            if self._stopped.wait(max(left, 0.0)):
+                return
+            self.late = max(self.late, -left)
+            if walk.silent:
+                continue
+            for one in walk.fault.effect(message) if walk.on else [message]:
+                self._send(walk.name, one)
+
+    def _stream(self, walk: Walk, born_ns: int) -> Iterator[tuple[float, Walk, Message]]:
+        return ((due, walk, message) for due, message in walk.walker.messages(born_ns))
+
+    def _send(self, robot: str, message: Message) -> None:
+        number = self._numbers[robot, message.kind] = self._numbers[robot, message.kind] + 1
+        if message.lost:
+            return
+        self._session.put(
+            f"robots/{robot}/{message.kind.value}", message.payload(), attachment=number.to_bytes(8, "little"),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )  # fmt: skip
+
+    def stop(self) -> None:
+        """End it."""
+        self._stopped.set()
+        self.join(WAIT_S)
+
+
+def settings(names: Sequence[str]) -> dict[str, Mapping[str, Any]]:
+    """The service's settings for robots with these faults; TOML keys with a dot are quoted."""
+    quoted = {'"os.lidar"' if frame == "os.lidar" else frame: frame for frame in SENSORS}
+    rear = {"translation": [-0.2, 0.0, 1.0], "rotation": [0.0, 0.0, 1.0, 0.0]}
+    front = {"translation": [0.2, 0.0, 1.0]}
+    errors = {"range_sigma": 0.02, "beam_sigma": 0.0005, "min_range": 0.3}
+    robots = {}
+    for name in names:
+        given = FAULTS[name].settings.get("sensors", {})
+        robots[name] = {"sensors": {key: given[frame] for key, frame in quoted.items() if frame in given}}
+    return {
+        "map": {"cell_size": 0.1, **MAP_SETTINGS},
+        "sensors": {'"os.lidar"': {**errors, **front}, "rear": {**errors, **rear}},
+        "robots": {name: given for name, given in robots.items() if given["sensors"]},
+        "service": {"log_format": "json"},
+    }
+
+
+class Doctor(threading.Thread):
+    """`roughmap doctor` beside a running service, as a process. ``listens`` and ``done`` are wall seconds."""
+
+    def __init__(self, service: Service, endpoint: str, seconds: float) -> None:
+        super().__init__(daemon=True)
+        self._process = subprocess.Popen(
+            [
+                *COMMAND, "doctor", "-c", str(service.directory / "roughmap.toml"), "--json", "--seconds", str(seconds),
+                "--set", f'zenoh.listen=["{endpoint}"]',
+            ],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment(),
+        )  # fmt: skip
+        self.listening = threading.Event()
+        self.listens = self.done = 0.0
+        self.findings: list[dict[str, str]] = []
+        self.error = ""
+        self.start()
+
+    def run(self) -> None:
+        assert self._process.stdout is not None
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            if "listening for" in line:
+                self.listens = time.time()
+                self.listening.set()
+            else:
+                self.error += line
+        out = self._process.stdout.read()
+        self.done = time.time()
+        self.listening.set()
+        self._process.wait(WAIT_S)
+        if out:
+            self.findings = json.loads(out)["findings"]
+
+    def kill(self) -> None:
+        """End it, if it still runs."""
+        if self._process.poll() is None:
+            self._process.kill()
+        self.join(WAIT_S)
+
+
+class Batch:
+    """Robots that walk at the same time."""
+
+    def __init__(self, service: Service, endpoint: str, session: zenoh.Session, walks: Sequence[Walk]) -> None:
+        self.service, self.endpoint, self.session, self.walks = service, endpoint, session, walks
+        self.by_name = {walk.name: walk for walk in walks}
+        self.client = RoughMapClient("site", session=session, timeout=WAIT_S)
+        self.first_line = len(service.err)
+        self._looked_at = self.first_line
+        self._first_counts = self.client.status()
+
+    def go(self, limit: float) -> None:
+        """Walk; wait at most ``limit`` seconds for each to be named, and for each problem to end."""
+        with ExitStack() as stack:
+            subscriber = self.session.declare_subscriber("maps/site/events", self._event)
+            stack.callback(subscriber.undeclare)
+            for walk in self.walks:
+                walk.silent = walk.kind.begins == "first"
+            sender = Sender(self.session, self.walks)
+            stack.callback(sender.stop)
+            sender.start()
+            well = time.monotonic()
+            self._wait(lambda: time.monotonic() > well + WELL_S and self._all_well(), WAIT_S, "robots to be mapped")
+            doctor = Doctor(self.service, self.endpoint, LISTEN_S)
+            stack.callback(doctor.kill)
+            self._begin("first", "before")
+            self._wait(doctor.listening.is_set, WAIT_S, "doctor to listen")
+            self._wait(lambda: time.time() > doctor.listens + SEEN_S, WAIT_S, "doctor to hear robots")
+            self._begin("meanwhile")
+            self._wait(lambda: bool(doctor.done) and not doctor.is_alive(), LISTEN_S + WAIT_S, "doctor")
+            self._judge_doctor(doctor)
+            with_time = lambda: time.time() > max(walk.begun for walk in self.walks) + limit  # noqa: E731
+            named = lambda: not any({"log", "health"} & {*walk.missing()} for walk in self.walks)  # noqa: E731
+            self._wait(lambda: named() or with_time(), limit + WAIT_S, "log and health")
+            for walk in self.walks:
+                walk.on, walk.ended = False, time.time()
+            over = time.time() + limit
+            self._wait(lambda: not any(walk.missing() == ["end"] for walk in self.walks) or time.time() > over,
+                       limit + WAIT_S, "problems to end")  # fmt: skip
+            for walk in self.walks:
+                walk.silent = True
+
+    def _begin(self, *when: str) -> None:
+        for walk in self.walks:
+            if walk.kind.begins in when:
+                walk.begin()
+
+    def _all_well(self) -> bool:
+        return all(
+            walk.integrated[frame] >= WELL_CLOUDS
+            for walk in self.walks if not walk.silent for frame in SENSORS
+        )  # fmt: skip
+
+    def _event(self, sample: zenoh.Sample) -> None:
+        event = decode_event(sample.payload.to_bytes())
+        if isinstance(event, IntegrationEvent) and event.outcome == "integrated" and event.robot in self.by_name:
+            self._count(event)
+
+    def _count(self, event: IntegrationEvent) -> None:
+        # An event does not name the frame; both sensors send alike, so half of the clouds are each one's.
+        walk = self.by_name[event.robot]
+        for frame in SENSORS:
+            walk.integrated[frame] += 1
+
+    def _wait(self, until: Callable[[], bool], seconds: float, what: str) -> None:
+        """Look at log and status until something is so."""
+        limit = time.monotonic() + seconds
+        while True:
+            self._look()
+            if until():
+                return
+            if time.monotonic() > limit:
+                raise TimeoutError(f"waited {seconds:g} s in vain for {what}")
+            time.sleep(POLL_S)
+
+    def _look(self) -> None:
+        lines = self.service.err[self._looked_at :]
+        self._looked_at += len(lines)
+        for text in lines:
+            self._judge_line(json.loads(text))
+        self._judge_status(self.client.status())
+
+    def _judge_line(self, line: dict[str, Any]) -> None:
+        walk = self.by_name.get(str(line.get("robot")))
+        if walk is None or walk.fault.names.log is None or not walk.begun or walk.told.log is not None:
+            return
+        head, words = walk.fault.names.log
+        if line.get("level") != "info":
+            walk.told.said.setdefault("log", f"{line.get('event')} {line.get('reason')}: {line['message']}")
+        said = f"{line.get('event')} {line.get('reason', '')}".strip()
+        if re.match(rf"{head}( |$)", said) and named(walk.fault.names, words, line["message"]):
+            walk.told.log = datetime.fromisoformat(line["time"]).timestamp() - walk.begun
+            walk.told.said["log"] = line["message"]
+
+    def _judge_status(self, status: MapStatus) -> None:
+        now = time.time()
+        for walk in self.walks:
+            names, told = walk.fault.names, walk.told
+            sentence = status.problems.get(walk.subject, "")
+            if walk.on and names.count and told.log is None and counted(status, self._first_counts, names.count):
+                told.log, told.said["log"] = now - walk.begun, f"counted as {names.count}"
+            if walk.on and sentence:
+                if names.health and told.health is None and named(names, names.health, sentence):
+                    told.health, told.said["health"] = now - walk.begun, sentence
+                told.said.setdefault("health", sentence)
+            mine = {s: t for s, t in status.problems.items() if s == walk.robot or s.startswith(f"{walk.robot} ")}
+            for subject, text in mine.items():
+                if not self._may_be(walk, subject) and not any(one.startswith(subject) for one in told.wrong):
+                    told.wrong.append(f"{subject} in problems: {text}")
+            if walk.ended and told.ended is None:
+                told.said["ended"] = "; ".join(mine.values())
+                if not mine:
+                    told.ended = now - walk.ended
+            if mine and status.health != "degraded":
+                told.wrong.append(f"health is {status.health} with problems")
+
+    def _may_be(self, walk: Walk, subject: str) -> bool:
+        """Whether this may be a problem: that of the fault, or what follows from it. After the end, what ends it."""
+        if walk.fault.names.health and (subject == walk.subject or walk.ended):
+            return True
+        return walk.kind.costs == "sensors" and subject.startswith(walk.robot)
+
+    def _judge_doctor(self, doctor: Doctor) -> None:
+        if not doctor.findings:
+            raise RuntimeError(f"doctor found nothing: {doctor.error}")
+        for walk in self.walks:
+            names = walk.fault.names
+            mine = [f for f in doctor.findings if f["area"] == walk.name or f["area"].startswith(walk.robot)]
+            wrong = [f for f in mine if f["verdict"] == "wrong"]
+            for finding in mine:
+                advice = f"{finding['remedy']}\n{finding['settings']}".strip()
+                strict = finding["verdict"] == names.verdict or finding["verdict"] == "wrong"
+                said = re.search(names.doctor, finding["text"])
+                if names.doctor and strict and said and named(names, names.advice, advice):
+                    walk.told.doctor = doctor.done - max(walk.begun, doctor.listens)
+                    walk.told.said["doctor"] = f"{finding['text']} -> {advice}"
+                    walk.told.settings = finding["settings"]
+                    break
+            else:
+                texts = [f"{f['verdict']} {f['area']}: {f['text']} -> {f['remedy']} {f['settings']}" for f in mine]
+                walk.told.said["doctor"] = "; ".join(texts)
+            if not names.doctor and wrong:
+                walk.told.wrong += [f"doctor: {finding['text']}" for finding in wrong]
+
+
+def named(names: Names, words: str, text: str) -> bool:
+    """Whether a text has the words, and the right time_offset if it has any."""
+    offsets = [float(number) for number in re.findall(r"time_offset = (-?[\d.]+\d)", text)]
+    return bool(re.search(words, text)) and all(abs(one - names.time_offset) < NEAR_S for one in offsets)
+
+
+def counted(status: MapStatus, before: MapStatus, what: str) -> bool:
+    """Whether something was counted: "poses ahead"."""
+    kind, reason = what.split()
+    now, first = getattr(status, kind).rejected, getattr(before, kind).rejected
+    return bool(now.get(reason, 0) > first.get(reason, 0))
+
+
+@contextmanager
+def connected_to(starting: Service) -> Iterator[tuple[Service, str, zenoh.Session]]:
+    """A service once it is ready, its endpoint and a session with it."""
+    with ExitStack() as stack:
+        service = stack.enter_context(starting)
+        (endpoint,) = service.ready()["endpoints"]
+        session = stack.enter_context(zenoh.open(peer_config(connect=[endpoint])))
+        yield service, endpoint, session
+
+
+def walk_all(folder: Path, walks: Sequence[Walk], limit: float, say: Callable[[str], None]) -> None:
+    """Let the robots walk, `TOGETHER` at a time, beside one service; wait ``limit`` s for each to be named."""
+    with connected_to(Service(folder, **settings([walk.name for walk in walks]))) as (service, endpoint, session):
+        for first in range(0, len(walks), TOGETHER):
+            batch = walks[first : first + TOGETHER]
+            say(", ".join(walk.name for walk in batch))
+            Batch(service, endpoint, session, batch).go(limit)
+        assert service.stop() == 0, service.err[-3:]
