@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 import walks_paths  # noqa: F401 - before what it makes importable
-from walker import PRECISE, SENSORS, Effect, Message, S
+from walker import SENSORS, Effect, Message, S
 
 from roughmap_schemas.kinds import Kind
 
@@ -152,7 +152,7 @@ def wild_stamps(random: Random) -> Fault:
 
 
 def two_sources(random: Random) -> Fault:
-    behind, off = random.uniform(0.15, 0.5), random.uniform(0.0, 0.02)
+    behind, off = random.uniform(0.03, 0.5), random.uniform(0.0, 0.02)
 
     def double(m: Message) -> list[Message]:
         x, y, z = m.position
@@ -250,7 +250,7 @@ def restarts_at_origin(random: Random) -> Fault:
         x, y, z = (p - f for p, f in zip(m.position, first[0], strict=True))
         return [replace(m, position=(x, y, z))]
 
-    names = Names(log=("leap", r"leapt \d\d\.\d\d m"), doctor="odometry leapt by", advice="odom", of_sensor=False)
+    names = Names(log=("leap", r"leapt \d+\.\d\d m"), doctor="odometry leapt by", advice="odom", of_sensor=False)
     return Fault(_odometry(restart), names)
 
 
@@ -433,8 +433,9 @@ def too_many_tiles(random: Random) -> Fault:
     noise = np.random.default_rng(random.randrange(1 << 32))
 
     def spread(m: Message) -> list[Message]:
-        far = np.column_stack([noise.uniform(-reach, reach, (4000, 2)), np.full(4000, -1.0)])
-        return [replace(m, points=far.astype(np.float32), times={}, covariance=PRECISE)]
+        turns, ranges = noise.uniform(0.0, 2.0 * np.pi, 4000), noise.uniform(2.0, reach, 4000)
+        far = np.column_stack([ranges * np.cos(turns), ranges * np.sin(turns), np.full(4000, -1.0)])
+        return [replace(m, points=far.astype(np.float32), times={})]
 
     names = Names(
         log=("stream_lost too_many_tiles", rf"points are up to .*map\.max_new_tiles.*max_range in {_table(sensor)}"),
