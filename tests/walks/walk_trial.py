@@ -330,7 +330,7 @@ class Batch:
             for subject, text in mine.items():
                 if not self._may_be(walk, subject) and not any(one.startswith(subject) for one in told.wrong):
                     told.wrong.append(f"{subject} in problems: {text}")
-            if walk.ended and told.ended is None:
+            if walk.ended and told.ended is None and told.health is not None:
                 told.said["ended"] = "; ".join(mine.values())
                 if not mine:
                     told.ended = now - walk.ended
