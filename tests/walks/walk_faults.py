@@ -346,8 +346,8 @@ def covariance_not_psd(random: Random) -> Fault:
             matrix[i, j] = matrix[j, i] = sign * c * math.sqrt(matrix[i, i] * matrix[j, j])
     wrong = "positive semidefinite|larger than its variances allow"
     names = Names(
-        log=("stream_lost bad_covariance", wrong), health=f"({wrong}).*or send none", doctor=f"invalid covariance: .*({wrong})",
-        advice="positive semidefinite", of_sensor=False,
+        log=("stream_lost bad_covariance", wrong), health=f"({wrong}).*or send none",
+        doctor=f"invalid covariance: .*({wrong})", advice="positive semidefinite", of_sensor=False,
     )  # fmt: skip
     return Fault(_covariance(matrix), names)
 
