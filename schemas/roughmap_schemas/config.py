@@ -30,7 +30,7 @@ from roughmap_schemas.values import Frame, Name
 REMOVED: Final = {
     "input.max_poses": "20000 poses per robot",
     "input.max_transforms": "1000 transforms per robot",
-    "input.max_turn": "leaps of 0.3 rad beyond 50 rad/s^2",
+    "input.max_turn": "0.3 rad beyond what 50 rad/s^2 explain",
     "input.pose_queue": "10000 queued poses and transforms",
     "service.control_timeout": "30 s",
 }

@@ -280,8 +280,7 @@ class MapStatus(Reply):
     refused: dict[Annotated[Refusal, *OPEN], Number]
     """Messages that never reached the log."""
     gaps: dict[str, Number]
-    """Missing numbers of published messages, by robot: the sum over its clouds, poses and transforms, which are
-    numbered separately by their 8-byte attachments."""
+    """Published messages lost on the way, by robot, as the numbers that came with the others show."""
     jumps: dict[str, Number]
     """Leaps of a robot's odometry and of its frame transforms, by robot."""
     problems: Annotated[dict[str, str], Field(max_length=32)] = {}

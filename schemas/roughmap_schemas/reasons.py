@@ -94,7 +94,7 @@ MEANING: Final[dict[type[Reason], dict[str, str]]] = {
         "not_finite": "NaN or infinite",
         "no_return": "no echo, as from the sky",
         "duplicate_return": "one of hundreds of equal points: no echo, moved off zero",
-        "time": "time not within 1 s after the scan's stamp",
+        "time": "no valid time, or more than 1 s from the cloud's stamp or its first point",
         "no_pose": "no poses around its time",
         "self": "on the robot itself (sensors.*.exclude)",
         "range": "nearer than min_range or farther than max_range",

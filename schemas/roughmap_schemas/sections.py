@@ -179,7 +179,7 @@ class InputConfig(Section):
     max_acceleration: Positive = 20.0
     """Acceleration that the robot may have. Half of it times the squared time between poses adds to ``max_leap``."""
     pose_sigma: SixSigmas = (0.05, 0.05, 0.05, 0.01, 0.01, 0.01)
-    """Standard deviations of poses without a covariance."""
+    """Standard deviations of poses without a covariance, and of what a covariance does not estimate."""
     placed_sigma: NotNegative = 0.02
     """Standard deviation of points in the map's frame without a covariance, along each axis."""
     max_points: AtLeastOne = 4_000_000
@@ -191,8 +191,7 @@ class InputConfig(Section):
     """Bytes of clouds in the input queue, and of clouds that wait for a decision."""
     duplicates: NotNegativeWhole = 10_000
     """Messages remembered, so that the same bytes sent again enter the map once. The oldest message of the robot with
-    the most is forgotten first. A reset forgets none, so a message sent before it does not enter the empty map if it is
-    sent again."""
+    the most is forgotten first. A reset of the map forgets all, so a recording can be mapped again."""
     robots: Annotated[list[Name], Once] = []
     """Robots that may send. Empty: all."""
     max_robots: AtLeastOne = 256

@@ -269,9 +269,12 @@ class RoughMapClient:
         encoding: str | None = None,
         attempt: float = float("inf"),
     ) -> T:
-        """Repeat a query until ``take`` accepts its answer; at the time limit, raise its last error."""
+        """Repeat a query until ``take`` accepts its answer; at the time limit, raise its last error.
+
+        The last refusal tells more than that no answer came in what was left of the time.
+        """
         selector = f"{key}?{parameters}" if parameters else key
-        pause = RETRY_S
+        pause, last = RETRY_S, None
         while True:
             left = max(until - time.monotonic(), 0.001)
             try:
@@ -283,9 +286,12 @@ class RoughMapClient:
             except QueryRefused as refused:
                 if refused.code not in RETRIABLE or time.monotonic() + RETRY_S >= until:
                     raise
-            except NoAnswer:
-                if self._session.is_closed() or time.monotonic() + RETRY_S >= until:
+                last = refused
+            except NoAnswer as error:
+                if self._session.is_closed():
                     raise
+                if time.monotonic() + RETRY_S >= until:
+                    raise last or error from None
             # At most half of the time left, so that the last attempt comes near the limit.
             time.sleep(min(pause, max((until - time.monotonic()) / 2, RETRY_S)))
             pause = min(2 * pause, MAX_RETRY_S)

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 RUN = Path(__file__).with_name("run.py")
 
 ROWS = {
@@ -24,10 +26,11 @@ ROWS = {
 PICTURES = ("tiles-held.png", "coherence.png", "latency.png")
 
 
+@pytest.mark.timeout(600)
 def test_quick_benchmark_is_whole(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, str(RUN), "--quick", "--out", str(tmp_path)],
-        capture_output=True, text=True, timeout=220, check=False,
+        capture_output=True, text=True, timeout=580, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     made = json.loads((tmp_path / "bench.json").read_text(), parse_constant=lambda name: f"{name} in JSON")

@@ -34,7 +34,7 @@ def elsewhere(**environment: str) -> dict[str, object]:
         env={**os.environ, **environment},
         capture_output=True,
         text=True,
-        timeout=200,
+        timeout=580,
         check=False,
     )
     assert made.returncode == 0, made.stderr
@@ -51,7 +51,7 @@ def test_methods_and_models_differ(here: dict[str, str]) -> None:
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="hides extensions of x86-64")
-@pytest.mark.timeout(220)
+@pytest.mark.timeout(600)
 def test_without_avx_and_fma(here: dict[str, str], tmp_path: Path) -> None:
     """Neither in the kernels, which are compiled again, nor in the C library."""
     said = elsewhere(NUMBA_CACHE_DIR=str(tmp_path), GLIBC_TUNABLES=HIDDEN, **GENERIC)

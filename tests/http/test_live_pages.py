@@ -112,7 +112,7 @@ def test_top_prints_a_frame(
 def test_log_lines_tell_the_events_and_nothing_tells_the_token(live: Running) -> None:
     assert live.service.stop() == 0
     lines: list[dict[str, Any]] = [json.loads(line) for line in live.service.err]
-    told = {line["event"]: line for line in lines if line.get("event")}
+    told = {line["event"]: line for line in lines if line.get("event") not in (None, "compiling")}  # if loading is slow
     assert list(told) == ["start", "map_recovered", "ready", "robot", "gap", "refused", "shutdown", "end"]
     assert told["ready"]["http"] == live.url
     assert (told["gap"]["robot"], told["gap"]["missing"]) == ("rover1", 3)

@@ -34,8 +34,9 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     with running(tmp_path_factory.mktemp("bad"), **settings) as both:
         _, feed = both
         yield both
-        feed.pose("rover", T0 + 1000 * S, (5.0, 5.0, 1.0))
-        assert feed.decided(feed.cloud("rover", T0 + 1000 * S)).accepted == len(GROUND)
+        for tenth in range(3):
+            feed.pose("rover", T0 + 1000 * S + tenth * S // 10, (5.0, 5.0, 1.0))
+        assert feed.decided(feed.cloud("rover", T0 + 1000 * S + S // 20)).accepted == len(GROUND)
         assert feed.settle().health == "ok"
 
 
@@ -179,14 +180,16 @@ def test_points_that_are_no_places_leave_the_rest_alone(both: Running) -> None:
 
 
 def test_a_covariance_with_a_negative_eigenvalue(both: Running) -> None:
-    """Symmetric, no negative diagonal, and yet no covariance: seen where each point's is made."""
+    """Symmetric, no negative diagonal, and yet no covariance: seen in the pose, before any point is placed by it."""
     _, feed = both
     C = PRECISE.copy()
     C[0, 1] = C[1, 0] = 0.5
-    feed.put("odometry", "rover", encode_odometry(T0 + 500 * S, "map", (0, 0, 0), LEVEL, C))
-    event = feed.decided(feed.cloud("rover", T0 + 500 * S))
-    assert event.outcome == "empty"
-    assert {str(reason): n for reason, n in event.rejected.items()} == {"covariance": len(GROUND)}
+    before = feed.settle().poses
+    feed.put("odometry", "rover", encode_odometry(T0 + S // 10, "map", (0, 0, 0), LEVEL, C))
+    after = feed.settle().poses
+    assert after.accepted == before.accepted
+    assert after.rejected["bad_covariance"] == before.rejected.get("bad_covariance", 0) + 1  # type: ignore[call-overload, index]
+    assert feed.decided(feed.cloud("rover", T0 + S // 10)).outcome == "no_pose"
 
 
 def test_a_million_points(both: Running) -> None:
@@ -200,13 +203,20 @@ def test_a_million_points(both: Running) -> None:
 
 @pytest.mark.parametrize(
     ("stamp_ns", "outcome"),
-    [(0, "late"), (1, "late"), (T0 - 3600 * S, "late"), (T0 + 10**9 * S, "no_pose"), (2**32 * S - 1, "no_pose")],
+    [(1, "late"), (T0 - 3600 * S, "late"), (T0 + 10**9 * S, "no_pose"), (2**32 * S - 1, "no_pose")],
 )
 def test_clouds_of_another_time(both: Running, stamp_ns: int, outcome: str) -> None:
     _, feed = both
     for second in (0, 11):
         feed.pose("stamps", T0 + second * S)
     assert feed.decided(feed.cloud("stamps", stamp_ns)).outcome == outcome
+
+
+@pytest.mark.parametrize("kind", ["points", "odometry"])
+def test_a_stamp_that_was_never_set(both: Running, kind: str) -> None:
+    """A driver that leaves the header empty; in a transform it means that it holds at all times."""
+    payload = encode_cloud(GROUND, 0, "lidar") if kind == "points" else encode_odometry(0, "map", (0, 0, 0), LEVEL)
+    refused_twice(both, kind, "stamps", payload, "unset_stamp")
 
 
 def test_stamps_that_go_backwards_or_stand_still(both: Running) -> None:

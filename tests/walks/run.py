@@ -18,7 +18,8 @@ from feed_ways import QUICK, SLOW, differences, feed_all, record
 from walk_faults import FAULTS
 from walk_paste import pasted, try_pasted
 from walk_report import as_json, findings, table
-from walk_trial import draw, walk_all
+from walk_sender import draw
+from walk_trial import walk_all
 
 LIMIT_S = 10.0
 RECORDING_S = 8.0

@@ -14,7 +14,8 @@ from processes import T0
 from walk_faults import FAULTS
 from walk_paste import merged, pasted, quoted, try_pasted
 from walk_report import cell, findings, table
-from walk_trial import TOGETHER, Told, batches, draw, named, walk_all
+from walk_sender import Told, draw
+from walk_trial import TOGETHER, batches, named, walk_all
 from walker import Message, Walker, encode_points, ground
 
 from roughmap_schemas import decode_cloud, decode_odometry

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import walks_paths  # noqa: F401 - before what it makes importable
-from walk_trial import Walk
+from walk_sender import Walk
 
 WHO = ("log", "health", "doctor", "ended", "pasted")
 

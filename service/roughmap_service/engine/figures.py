@@ -14,8 +14,8 @@ import numpy as np
 from roughmap import RoughMap
 from roughmap.cell import TILE_CELLS
 from roughmap_schemas import IntegrationEvent, Odometry, PoseReason, SensorConfig
+from roughmap_service.inputs.losses import cloud_cause
 from roughmap_service.inputs.remedies import Figures, robot_table, sensor_table
-from roughmap_service.inputs.streams import cloud_cause
 from roughmap_service.run.inbox import LoggedCloud
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.robot import Robot
@@ -167,45 +167,60 @@ def _too_many_tiles(lost: LostCloud) -> Figures:
 
 
 def _uncertain(lost: LostCloud) -> Figures:
-    m, k = lost.settings.config.map, lost.settings.config.map.coverage
     if lost.sensor is None:
         return Figures("their points have input.placed_sigma", "lower input.placed_sigma")
     poses = lost.poses()
     if not poses:
         return NOTHING
     known = poses[-1].covariance
-    c = (lost.settings.pose_covariance if known is None else known).diagonal()
+    variances = (lost.settings.pose_covariance if known is None else known).diagonal().tolist()
     cap = _capped(lost, known=known is not None)
+    return _uncertain_pose(lost, variances, cap) or _uncertain_far(lost, lost.sensor, variances, cap)
+
+
+def _limits(lost: LostCloud) -> tuple[tuple[float, str], tuple[float, str]]:
+    """Return the limits on a point's error, across and up, in m, and how to show them."""
+    m = lost.settings.config.map
     widest, highest = m.max_horizontal_radius, m.max_vertical_sigma
-    limits = f"map.max_horizontal_radius = {widest:g}", f"map.max_vertical_sigma = {highest:g}"
-    widest = math.inf if m.error_model == "point" else widest
-    across, up = k * sqrt(max(c[0], c[1], 0.0)), sqrt(max(c[2], 0.0))
-    if across > widest:
-        text = f"{k:g} sigma = {across:.2f} m, {limits[0]}; the pose covariance alone is larger"
-        return Figures(text, f"{cap}, or raise the limit")
-    if up > highest:
-        text = f"sigma z = {up:.2f} m, {limits[1]}; the pose covariance alone is larger"
-        return Figures(text, f"{cap}, or raise the limit")
-    s = lost.sensor
-    mount = s.mount_sigma
-    across = math.hypot(across / k, s.range_sigma, max(mount[0], mount[1]))
-    up = math.hypot(up, s.range_sigma, mount[2])
-    heading = math.hypot(sqrt(max(c[5], 0.0)), s.beam_sigma, mount[5])
-    tilt = math.hypot(sqrt(max(c[3], c[4], 0.0)), s.beam_sigma, max(mount[3], mount[4]))
-    ranges = _reach(widest / k, across, heading), _reach(highest, up, tilt)
-    which = int(ranges[1] < ranges[0])
+    shown = f"map.max_horizontal_radius = {widest:g}", f"map.max_vertical_sigma = {highest:g}"
+    return (math.inf if m.error_model == "point" else widest, shown[0]), (highest, shown[1])
+
+
+def _uncertain_pose(lost: LostCloud, variances: Sequence[float], cap: str) -> Figures | None:
+    """Return the figures if the pose, with these ``variances`` (6,), is too uncertain by itself; else None."""
+    k, (widest, highest) = lost.settings.config.map.coverage, _limits(lost)
+    across, up = k * sqrt(max(variances[0], variances[1], 0.0)), sqrt(max(variances[2], 0.0))
+    if across > widest[0]:
+        text = f"{k:g} sigma = {across:.2f} m, {widest[1]}; the pose covariance alone is larger"
+    elif up > highest[0]:
+        text = f"sigma z = {up:.2f} m, {highest[1]}; the pose covariance alone is larger"
+    else:
+        return None
+    return Figures(text, f"{cap}, or raise the limit")
+
+
+def _uncertain_far(lost: LostCloud, sensor: SensorConfig, variances: Sequence[float], cap: str) -> Figures:
+    """Return from which distance on points are too uncertain: errors of angles grow with it."""
+    k, (widest, highest) = lost.settings.config.map.coverage, _limits(lost)
+    mount = sensor.mount_sigma
+    across = math.hypot(sqrt(max(variances[0], variances[1], 0.0)), sensor.range_sigma, max(mount[0], mount[1]))
+    up = math.hypot(sqrt(max(variances[2], 0.0)), sensor.range_sigma, mount[2])
+    heading = math.hypot(sqrt(max(variances[5], 0.0)), sensor.beam_sigma, mount[5])
+    tilt = math.hypot(sqrt(max(variances[3], variances[4], 0.0)), sensor.beam_sigma, max(mount[3], mount[4]))
+    ranges = _reach(widest[0] / k, across, heading), _reach(highest[0], up, tilt)
     errors = f"check range_sigma, beam_sigma and mount_sigma in {lost.table}"
-    if ranges[which] == 0.0:
-        of = (f"{k:g} sigma = {k * across:.2f} m", f"sigma z = {up:.2f} m")[which]
-        return Figures(f"{of} with range_sigma and mount_sigma, {limits[which]}", errors)
-    if not math.isfinite(ranges[which]):
+    if ranges[1] < ranges[0]:
+        nearest, name, angle, limit, of_pose = ranges[1], "tilt", tilt, highest[1], max(variances[3], variances[4])
+        beside = f"sigma z = {up:.2f} m"
+    else:
+        nearest, name, angle, limit, of_pose = ranges[0], "heading", heading, widest[1], variances[5]
+        beside = f"{k:g} sigma = {k * across:.2f} m"
+    if nearest == 0.0:
+        return Figures(f"{beside} with range_sigma and mount_sigma, {limit}", errors)
+    if not math.isfinite(nearest):
         return NOTHING
-    text = (
-        f"beyond {ranges[which]:.1f} m they are over {limits[which]}: sigma of the {('heading', 'tilt')[which]} "
-        f"is {(heading, tilt)[which]:.3g} rad"
-    )
-    of_pose = c[5] if which == 0 else max(c[3], c[4])
-    return Figures(text, cap if 2.0 * of_pose > (heading, tilt)[which] * (heading, tilt)[which] else errors)
+    text = f"beyond {nearest:.1f} m they are over {limit}: sigma of the {name} is {angle:.3g} rad"
+    return Figures(text, cap if 2.0 * of_pose > angle * angle else errors)
 
 
 def _capped(lost: LostCloud, *, known: bool) -> str:
@@ -266,7 +281,7 @@ FINDERS: dict[tuple[str, str], Callable[[LostCloud], Figures]] = {
 def pose_figures(reason: str | None, odometry: Odometry, robot: Robot, why: str = "") -> Figures:
     """Return the figures of an odometry that gave no pose; ``why`` as in `OdometryTaken`."""
     ahead = (odometry.stamp_ns - robot.clock.newest_ns) * 1e-9
-    if reason == PoseReason.POSE_FRAME:
+    if reason == PoseReason.POSE_FRAME and not why:
         known = ", ".join(f'"{frame}"' for frame in list(robot.transforms.rows)[:KNOWN_FRAMES])
         known = f"transforms are known from {known}" if known else "no transform is known"
         text = f'their frame is "{odometry.frame_id}"; {known}'

@@ -1,9 +1,11 @@
-"""When a stream of messages counts as lost: a pure function of what became of its last messages, and when."""
+"""When a cloud and a stream of messages count as lost: pure functions of what became of them, and when."""
 
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
+
+from roughmap_schemas.reasons import INTEGRATED, CloudReason, PointReason
 
 ROW: Final = 10
 """A stream is lost when its last ten messages ended badly the same way, and works again after ten good ones, or once
@@ -20,6 +22,9 @@ SILENT: Final = 60.0
 
 FORGOTTEN: Final = 600.0
 """The same for a stream of which only one message is known, and the most for any: scanners may take minutes."""
+
+NO_ECHO: Final = (PointReason.NO_RETURN, PointReason.NOT_FINITE, PointReason.DUPLICATE_RETURN)
+"""Reasons of points where nothing came back. Under an open sky most are like that, and nothing is lost with them."""
 
 
 class Cause(NamedTuple):
@@ -39,6 +44,21 @@ class Outcome(NamedTuple):
     cause: Cause | None
     accepted: int = 0
     rejected: Mapping[str, int] = {}
+
+
+def cloud_cause(outcome: str, accepted: int, rejected: Mapping[str, int]) -> Cause | None:
+    """Return how a decided cloud ended badly: not in the map, or without nearly all of its points; None if it is well.
+
+    Points where nothing came back don't count, unless there are no others.
+    """
+    if outcome != INTEGRATED and not (outcome == CloudReason.EMPTY and rejected):
+        return Cause("cloud", str(outcome))
+    others = {reason: number for reason, number in rejected.items() if reason not in NO_ECHO}
+    counts = others if others or accepted else rejected
+    lost = sum(counts.values())
+    if lost and lost >= SHARE * (lost + accepted):
+        return Cause("point", str(max(counts, key=lambda reason: counts[reason])))
+    return None
 
 
 class _Second:

@@ -148,6 +148,12 @@ CAUSES: Final = {
 """The cause in words; of points it is the reason's meaning, of refused messages the refusal's own text."""
 
 
+PLURALS: Final = {
+    POSES: "poses", CLOUDS: "clouds", TRANSFORMS: "transforms", ANY_CLOUDS: "clouds", MESSAGES: "messages",
+}  # fmt: skip
+"""What the messages of each stream are called."""
+
+
 def sentence(
     config: Config, subject: Subject, cause: Cause, last: Sequence[Outcome], figures: Figures, stream: str = CLOUDS
 ) -> str:
@@ -157,7 +163,7 @@ def sentence(
     if cause.kind == "point":
         text = f"{subject}: {_points_lost(last, cause)}"
     else:
-        what, done = _WHAT[stream], "mapped" if stream == CLOUDS and cause.kind == "cloud" else "taken"
+        what, done = PLURALS[stream], "mapped" if stream == CLOUDS and cause.kind == "cloud" else "taken"
         text = f"{subject}: {_messages_lost(last, what, done)}"
     parts = [shortened(figures.text, MAX_FIGURES)] if figures.text else []
     if cause.kind in CAUSES:
@@ -168,9 +174,6 @@ def sentence(
 def shortened(text: str, most: int = MAX_TEXT) -> str:
     """Return the text, its middle left out if it is longer than that: cause and remedy stand at its ends."""
     return text if len(text) <= most else f"{text[: most // 2 - 3]} ... {text[3 - most // 2 :]}"
-
-
-_WHAT: Final = {POSES: "poses", CLOUDS: "clouds", TRANSFORMS: "transforms", ANY_CLOUDS: "clouds", MESSAGES: "messages"}
 
 
 def _words(config: Config, subject: Subject) -> dict[str, str]:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from roughmap_schemas import Config
-from roughmap_schemas.reasons import INTEGRATED, PointReason, Refusal
+from roughmap_schemas.reasons import Refusal
 from roughmap_service.host.log_lines import note
-from roughmap_service.inputs.losses import SHARE, SILENT, Cause, Losses, Outcome
+from roughmap_service.inputs.losses import SILENT, Cause, Losses, Outcome, cloud_cause
 from roughmap_service.inputs.remedies import (
     ANY_CLOUDS,
     CLOUDS,
@@ -47,13 +47,8 @@ STOPPED: Final = 1.0
 RENEWED: Final = 30.0
 """Seconds after which the figures of a standing problem are taken anew."""
 
-NO_ECHO: Final = (PointReason.NO_RETURN, PointReason.NOT_FINITE, PointReason.DUPLICATE_RETURN)
-"""Reasons of points where nothing came back. Under an open sky most are like that, and nothing is lost with them."""
-
-Look = str | Callable[[], Figures]
-"""Figures, or a function that finds them when they are needed."""
-
-NOTHING = Figures()
+FindFigures = Callable[[], Figures]
+"""Finds the figures of a loss; called only when a sentence is made of them."""
 
 NO_POINTS: Final[Mapping[str, int]] = {}
 
@@ -94,7 +89,13 @@ class Streams:
         self._strangers = 0
 
     def cloud(
-        self, robot: str, frame_id: str, outcome: str, accepted: int, rejected: Mapping[str, int], figures: Look = ""
+        self,
+        robot: str,
+        frame_id: str,
+        outcome: str,
+        accepted: int,
+        rejected: Mapping[str, int],
+        figures: FindFigures = Figures,
     ) -> None:
         """Count a decided cloud: its outcome, and the numbers of its points that were accepted and, by reason, not."""
         if outcome in SERVICES_OWN:
@@ -103,7 +104,7 @@ class Streams:
         self._take(Subject(robot, frame_id[:MAX_NAME]), CLOUDS, cause, figures, accepted=accepted, rejected=rejected)
         self._take(Subject(robot), ANY_CLOUDS, None, known_only=True)
 
-    def pose(self, robot: str, reason: str | None, figures: Look = "") -> None:
+    def pose(self, robot: str, reason: str | None, figures: FindFigures = Figures) -> None:
         """Count an odometry message whose fate is settled; ``reason`` is None if its pose was taken."""
         self._take(Subject(robot), POSES, None if reason is None else Cause("pose", str(reason)), figures)
 
@@ -173,7 +174,7 @@ class Streams:
         subject: Subject,
         kind: str,
         cause: Cause | None,
-        figures: Look = "",
+        figures: FindFigures = Figures,
         *,
         accepted: int = 0,
         rejected: Mapping[str, int] = NO_POINTS,
@@ -209,10 +210,8 @@ class Streams:
                 subject=str(subject),
             )  # fmt: skip
 
-    def _sentence(self, subject: Subject, kind: str, lost: Cause, losses: Losses, figures: Look) -> str:
-        found = NOTHING
-        if losses.last[-1].cause == lost:  # else the figures are about something else
-            found = Figures(figures) if isinstance(figures, str) else figures()
+    def _sentence(self, subject: Subject, kind: str, lost: Cause, losses: Losses, figures: FindFigures) -> str:
+        found = figures() if losses.last[-1].cause == lost else Figures()  # of another loss they would mislead
         if lost == ("cloud", "no_pose") and not found.certain:
             found = self._without_poses(subject.robot, losses.last[-1].at) or found
         return sentence(self._config, subject, lost, losses.last, found, kind)
@@ -264,25 +263,6 @@ class Streams:
                     stream.told, stream.losses = "", Losses()
                     found.append(subject)
         return found
-
-
-def cloud_cause(outcome: str, accepted: int, rejected: Mapping[str, int]) -> Cause | None:
-    """Return how a decided cloud ended badly: not in the map, or without nearly all of its points; None if it is well.
-
-    Points where nothing came back don't count, unless there are no others.
-    """
-    if outcome != INTEGRATED and not (outcome == "empty" and rejected):
-        return Cause("cloud", str(outcome))
-    lost = sum(rejected.values())
-    if not accepted or lost >= 9 * accepted:
-        others = {reason: number for reason, number in rejected.items() if reason not in NO_ECHO}
-        if not others and accepted:
-            return None
-        lost = sum(others.values()) if others else lost
-        if lost >= SHARE * (lost + accepted):
-            counts = others or rejected
-            return Cause("point", str(max(counts, key=lambda reason: counts[reason])))
-    return None
 
 
 def limited(problems: dict[str, str]) -> dict[str, str]:

@@ -30,9 +30,11 @@ BREAKS = 3
 """Breaks within the pose history after which the robot has two sources."""
 
 GAPS = 8
+"""Last steps between stamps that are kept."""
+
 NEXT = 3
-"""Last steps between stamps, and how many times the longest but one of them the next may be; a stamp further ahead is
-held. The longest may be one that was lost."""
+"""How many times the longest but one of them the next step may be; a stamp further ahead is held. The longest may have
+lost messages within it."""
 
 BACK_FENCE_NS = 1_000_000_000
 BREAK_FENCE_NS = 500_000_000

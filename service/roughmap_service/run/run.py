@@ -2,10 +2,12 @@
 
 The way of a cloud, live:
 
-    taken = run.take(robot, content, identity, arrival)     # it is in the log; it waits in the inbox for its poses
-    proposal = run.decide(now)                              # the next cloud that can be decided, and by which poses
-    change = run.place(proposal)                            # its points are placed, its tiles are in memory
-    event = change()                                        # the map has changed; the event goes into the log
+    run.take(robot, content, identity, received_ns, arrival)  # it is in the log; it waits in the inbox for its poses
+    for found in run.find_times(now):                         # clouds of a new sensor wait until their times are clear;
+        run.read_times(found)                                 # the event that says so goes into the log
+    proposal = run.decide(now)                                # the next cloud that can be decided, and by which poses
+    change = run.place(proposal)                              # its points are placed, its tiles are in memory
+    event = change()                                          # the map has changed; the event goes into the log
 
 A replay takes the same messages, and `follow` does what the logged events say. There is no thread, network, disk or
 clock in here, so nothing but the order of the calls decides what comes out.
@@ -296,8 +298,10 @@ class Run:
             self.doubts[cloud.input] = doubt
 
     def _end_clouds(self, name: str, number: int) -> None:
-        """The robot's clock went back at this input: of the clouds since, only those after their sensor's stamps fell
-        back are of the present clock."""
+        """End a robot's clouds as `clock_reset`: its clock went back at this input.
+
+        Of the clouds since, only those after their sensor's stamps fell back too are of the present clock.
+        """
         sensors = self.robots[name].sensors
         for cloud in self.clouds.values():
             if cloud.robot != name or cloud.input < number or cloud.cloud.frame_id not in sensors:
