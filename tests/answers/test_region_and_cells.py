@@ -170,7 +170,8 @@ def test_status_has_every_member(served: Served) -> None:
     assert set(status) == {
         "contract", "map", "run", "instance", "epoch", "version", "frame_id", "cell_size", "tile_cells", "levels",
         "layers",
-        "bounds", "extent", "error_model", "configuration_digest", "health", "sequence", "durable_sequence", "input",
+        "bounds", "extent", "error_model", "configuration_digest", "health", "problems", "sequence",
+        "durable_sequence", "input",
         "newest_stamp_ns", "clouds", "points", "poses", "refused", "gaps", "jumps", "lag_s", "rates", "memory_bytes",
         "tiles", "log", "uptime_s",
     }  # fmt: skip

@@ -35,7 +35,7 @@ def _drive(run: LoggedRun, first: int, scans: int, rng: np.random.Generator, poi
     for k in range(first, first + scans):
         run.scan(float(k), 0.3 * k)
         body = rng.uniform([-3.0, -3.0, -0.5], [3.0, 3.0, 0.5], (points, 3))
-        run.put(Kind.POINTS, cloud(k + 0.07, points=body))
+        run.put(Kind.POINTS, cloud(0.1 * k + 0.05, points=body))
         run.decide()
         if k % 4 == 3:
             run.checkpoint()
@@ -178,7 +178,7 @@ def store_flips(trial: Trial, folder: Path, rng: random.Random, number: int) -> 
     with LoggedRun(folder / "whole", store=store) as run:
         _drive(run, 0, 6, numbers, 300)
         run.snapshot()
-        _drive(run, 10, 2, numbers, 300)
+        _drive(run, 6, 2, numbers, 300)
         digest, stamps = run.run.map.digest(), _stamps(run.run.map)
     content = store.path.read_bytes()
     work = folder / "work"

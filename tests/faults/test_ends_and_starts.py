@@ -77,7 +77,7 @@ def test_a_signal_during_the_start_takes_effect(tmp_path: Path) -> None:
     rng = random.Random(1)
     with LoggedRun(tmp_path / "log", config(log={"directory": str(tmp_path / "log")})) as run:
         for k in range(400):
-            run.scan(0.2 * k, rng.random())
+            run.scan(float(k), 0.1 * rng.random())
         run.checkpoint()
         sequence = run.run.map.sequence
     before = sorted(path.name for path in (tmp_path / "log").glob("*.mcap"))

@@ -251,7 +251,7 @@ def test_all_at_once(tmp_path: Path, request: pytest.FixtureRequest) -> None:
         storm.end()
         took = time.monotonic() - begun
         last = feed.settle()
-        assert sums(last) - sums(first) == storm.sent
+        assert sums(last) - sums(first) == storm.sent + feed.settles - 1
         assert last.refused["bad_message"] == storm.done["noise"]  # type: ignore[index]
         assert last.health == "ok"
         assert last.log.ok
