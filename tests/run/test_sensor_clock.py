@@ -50,7 +50,7 @@ class Heard:
 
     def odometry(self, stamp: float, arrival: float) -> None:
         self.number += 1
-        self.clock.take(ns(START + stamp))
+        self.clock.take(ns(START + stamp), 0)
         self.sensor.odometry(ns(START + stamp), ns(arrival))
 
     def cloud(self, stamp: float, arrival: float) -> Doubt | None:
@@ -280,13 +280,14 @@ class TestWithTheRobot:
         assert sensor.cloud(94, ns(START + 1.1), 0, robot.clock) is None
         assert sensor.offset_ns == 0
 
-    def test_one_that_fell_before_the_robot_s_first_is_not(self) -> None:
-        """The input at which the poses begin anew counts: what fell before it fell alone."""
+    def test_one_that_fell_before_the_last_pose_is_not(self) -> None:
+        """A pose went on after it: it fell alone."""
         robot, sensor = self.heard()
         sensor.cloud(90, ns(START + 1.0), 0, robot.clock)
-        self.back(robot, 91, 1.0)
+        self.odometry(robot, 91, 4.0)
+        self.back(robot, 92, 1.0)
         assert sensor.fenced
-        assert sensor.cloud(94, ns(START + 1.1), 0, robot.clock) == Doubt(CloudReason.CLOCK_RESET)
+        assert sensor.cloud(95, ns(START + 1.1), 0, robot.clock) == Doubt(CloudReason.CLOCK_RESET)
 
     def test_one_that_has_not_fallen_waits_for_it(self) -> None:
         """Clouds on their way are of the clock before; the first that falls is of the new one."""

@@ -82,7 +82,7 @@ def two_sources(random: Random) -> Fault:
         return [m, replace(m, position=(x - behind, y + off, z)).later(-behind)]
 
     names = Names(
-        log=("two_sources", "two sources"), health="two sources", doctor="older than the one before",
+        log=("remark", "two sources"), health="two sources", doctor="older than the one before",
         advice="second publisher", of_sensor=False,
     )  # fmt: skip
     return Fault(of_odometry(double), names, f"the second one {behind:.2f} s late")

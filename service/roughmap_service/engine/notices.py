@@ -11,6 +11,7 @@ from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.remedies import sensor_table
 from roughmap_service.inputs.streams import Streams
 from roughmap_service.run.decoding import Content
+from roughmap_service.run.odometry_clock import Verdict
 from roughmap_service.run.robot import OdometryTaken, Robot
 from roughmap_service.run.run import NoTimes, Taken
 
@@ -35,6 +36,7 @@ class Notices:
         self._streams = streams
         self._robots = robots
         self._unestimated: set[str] = set()
+        self._mixed: set[str] = set()
         self._clocks: dict[tuple[str, str], tuple[float, float]] = {}
 
     def message(self, robot: str, content: Content, taken: Taken) -> None:
@@ -97,6 +99,22 @@ class Notices:
             )
             note(logger, logging.WARNING, "time_form", text, robot=found.robot, frame_id=found.frame_id)
 
+    def _two_sources(self, robot: str) -> None:
+        """Tell that a robot's odometry comes from two sources, and that it no longer does."""
+        mixed = self._states[robot].clock.two_sources
+        if mixed == (robot in self._mixed):
+            return
+        text = None
+        if mixed:
+            self._mixed.add(robot)
+            text = (
+                f"robot {robot}: its odometry comes from two sources out of step; poses are sorted by stamp, at a cost in "
+                "clouds and accuracy; let only one of them send"
+            )
+        else:
+            self._mixed.remove(robot)
+        self._streams.remark(f"robot {robot}", "two_sources", text)
+
     def _odometry(self, robot: str, odometry: Odometry, taken: OdometryTaken) -> None:
         for reason in taken.settled:
             self._counters.pose(reason)
@@ -105,12 +123,10 @@ class Notices:
         if taken.verdict.begins_anew:
             text = f"robot {robot}: its clock went back; its poses begin anew, and clouds from before are rejected"
             note(logger, logging.WARNING, "clock_reset", text, robot=robot)
-        if taken.two_sources:
-            text = (
-                f"robot {robot}: its odometry comes from two sources out of step; poses are now sorted by stamp. "
-                "Let only one of them send"
-            )
-            note(logger, logging.WARNING, "two_sources", text, robot=robot)
+        self._two_sources(robot)
+        if taken.verdict is Verdict.FORWARD and taken.leapt_s > 0.0:
+            text = f"robot {robot}: its clock leapt {taken.leapt_s:.1f} s forward, or it sent no pose for as long"
+            note(logger, logging.WARNING, "clock_forward", text, robot=robot, seconds=taken.leapt_s)
         if taken.leap is not None:
             leap = taken.leap
             self._counters.jump(robot)

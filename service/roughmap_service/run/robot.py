@@ -31,7 +31,7 @@ class OdometryTaken:
         ended_from: clouds from this input number on may have been made before the robot's clock went back; 0: none.
         leap: the leap that the pose is.
         unestimated: whether the message had no estimate of some of its covariance.
-        two_sources: whether it showed that the robot has two sources of odometry.
+        leapt_s: how far the clock leapt forward, in s.
         why: what is wrong with its position or covariance, if that takes words.
     """
 
@@ -40,7 +40,7 @@ class OdometryTaken:
     ended_from: int = 0
     leap: Leap | None = None
     unestimated: bool = False
-    two_sources: bool = False
+    leapt_s: float = 0.0
     why: str = ""
 
 
@@ -110,9 +110,11 @@ class Robot:
         held = clock.release()
         together: list[Held] = []
         settled: list[PoseReason | None] = []
-        ended_from, two_sources = 0, False
+        ended_from, leapt_ns = 0, 0
         if verdict in (Verdict.FORWARD, Verdict.BACK):
             together = clock.row_of(one.stamp_ns, held, self.settings.max_pose_gap_ns, self.settings.history_ns)
+            step_ns = (together[0] if together else one).stamp_ns - newest
+            leapt_ns = step_ns if step_ns > self.settings.max_pose_gap_ns else 0
         elif clock.two_sources:
             together = [h for h in held if h.stamp_ns <= newest]
         settled += [self._given_up(h) for h in held if h not in together]
@@ -124,13 +126,15 @@ class Robot:
             self.buffer.clear()
             clock.begin(clock.begun, 0)
         elif verdict is Verdict.BACK:
-            ended_from = together[0].input
+            ended_from = clock.last_input + 1
             self._begin_anew(ended_from, together[0].stamp_ns + BACK_FENCE_NS)
             self.transforms.keep_last()
         elif verdict is Verdict.BREAK:
-            ended_from = min(h.input for h in held if h.stamp_ns <= newest)
-            two_sources = clock.count_break(one.stamp_ns, self.settings.history_ns)
+            ended_from = clock.last_input + 1
+            clock.count_break(one.stamp_ns, self.settings.history_ns)
             self._begin_anew(ended_from, one.stamp_ns + BREAK_FENCE_NS)
+        elif verdict is Verdict.TAKE:
+            clock.count_mixed(low=any(h.stamp_ns <= newest for h in held))
         leap: Leap | None = None
         for each in sorted([*together, one], key=lambda h: h.stamp_ns):
             why_not, leapt = self._insert(each)
@@ -139,7 +143,7 @@ class Robot:
             for sensor in self.sensors.values():
                 sensor.odometry(each.stamp_ns, arrival_ns)
         self.buffer.trim()
-        return OdometryTaken(settled, verdict, ended_from, leap, two_sources=two_sources)
+        return OdometryTaken(settled, verdict, ended_from, leap, leapt_s=leapt_ns * 1e-9)
 
     def _begin_anew(self, number: int, fence_ns: int) -> None:
         self.buffer.clear()
@@ -152,7 +156,7 @@ class Robot:
 
     def _insert(self, one: Held) -> tuple[PoseReason | None, Leap | None]:
         """Count a message as taken, and insert its pose. Return why there is none, and the leap that it is."""
-        self.clock.take(one.stamp_ns)
+        self.clock.take(one.stamp_ns, one.input)
         if isinstance(one.pose, PoseReason):
             return one.pose, None
         if one.stamp_ns < self.buffer.horizon_ns:
