@@ -141,7 +141,7 @@ FAULTS = {
     "a frame with a slash": Fault(
         Drive(frame="/map"), "wrong", "odometry in frame '/map' is rejected (pose_frame): the map's frame is 'map'"),
     "no transform": Fault(
-        Drive(frame="odom"), "note", "odometry in frame 'odom' is rejected (pose_frame): no transform leads to 'map'"),
+        Drive(frame="odom"), "note", "odometry is in frame 'odom': no transform to 'map' came"),
     "another transform": Fault(
         Drive(frame="odom", transforms=[heard_transform(0.1, NOW, "vio")]), "wrong",
         "odometry in frame 'odom' is rejected (pose_frame): no transform leads to 'map'"),

@@ -98,11 +98,12 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
     ),
     "slow poses": (
         {}, {"pose_period": 0.6, "seconds": 4.0},
-        ["the robot's poses are 0.6 s apart (input.max_pose_gap = 0.5); publish poses more often"],
+        ["the robot's poses are 0.6 s apart (input.max_pose_gap = 0.5)",
+         "publish poses more often, or set max_pose_gap = 0.9 and max_wait = 0.9 in [input]"],
     ),
     "no frame": (
         {}, {"frame": "/map"},
-        ['their frame is "/map"; no transform is known; write their frame as "map"', "see what is told of robot rover"],
+        ['their frame is "/map"; no transform is known; write their frame as "map"', "see the line of robot rover"],
     ),
     "tiles": (
         {"map": {"cell_size": 0.02}}, {"points": FAR},
