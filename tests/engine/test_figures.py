@@ -156,3 +156,11 @@ def test_the_reach_is_where_the_error_meets_the_limit(limit: float, sigma: float
     assert reach >= 0.0
     if 0.0 < reach < 1e6:
         assert np.hypot(sigma, angle * reach) == pytest.approx(limit)
+
+
+def test_unclear_times_are_told_once_beside_the_loss(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING)
+    with LoggedRun(tmp_path / "log", config(sensors={"lidar": {"range_sigma": 0.01, "time_field": "stamp"}})) as run:
+        drive(run, seconds=4.0)
+    events = [getattr(record, "event", "") for record in caplog.records]
+    assert sorted(events) == ["stream_lost", "time_form"]

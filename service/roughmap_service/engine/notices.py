@@ -26,7 +26,7 @@ ORIGINS = {
 class Notices:
     """Counts accepted and rejected poses, and logs what is unusual.
 
-    ``states`` are the run's robots; ``robots`` are those that were heard before.
+    ``states`` are the run's robots; ``robots`` are the names of those that were heard before.
     """
 
     def __init__(self, counters: Counters, streams: Streams, states: Mapping[str, Robot], robots: set[str]) -> None:
@@ -35,7 +35,7 @@ class Notices:
         self._streams = streams
         self._robots = robots
         self._unestimated: set[str] = set()
-        self._sensors: dict[tuple[str, str], tuple[float, float]] = {}
+        self._clocks: dict[tuple[str, str], tuple[float, float]] = {}
         self._unclear: set[tuple[str, str]] = set()
 
     def message(self, robot: str, content: Content, taken: Taken) -> None:
@@ -65,9 +65,9 @@ class Notices:
         # Beyond the limit its clouds are lost, which is told with the same figure.
         shown = 0.0 if sensor.differs else round(sensor.offset_ns * 1e-9, 1)
         late = round(sensor.late_ns * 1e-9, 1)
-        if self._sensors.get((robot, frame_id), (0.0, 0.0)) == (shown, late):
+        if self._clocks.get((robot, frame_id), (0.0, 0.0)) == (shown, late):
             return
-        self._sensors[robot, frame_id] = shown, late
+        self._clocks[robot, frame_id] = shown, late
         subject = f"robot {robot} sensor {frame_id}"
         text = None
         if shown:

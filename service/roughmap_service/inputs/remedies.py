@@ -111,7 +111,7 @@ POSE_REMEDIES: Final = {
     "out_of_order": "publish its poses in the order of their stamps; if two programs publish on {odometry}, stop one",
     "frozen": "stamp each pose with the time at which the robot was there",
     "pose_frame": 'publish a transform from its frame to "{map_frame}" on {transform}, or poses in "{map_frame}"',
-    "bad_covariance": 'correct the covariance, or set pose_covariance = "configured" in {robot_table}',
+    "bad_covariance": "correct the covariance, or send none: input.pose_sigma stands in",
 }
 
 REFUSED_REMEDIES: Final = {

@@ -10,9 +10,10 @@ import numpy as np
 
 from roughmap_schemas.config import Config
 from roughmap_service.cli.doctor.findings import Finding, table
-from roughmap_service.cli.doctor.heard import NS, HeardPose, HeardTransform, rate, times
+from roughmap_service.cli.doctor.heard import HeardPose, HeardTransform, rate, times
 from roughmap_service.run.leaps import Leap, find_leap, motion_before
 from roughmap_service.run.poses import Pose
+from roughmap_service.run.settings import NS
 
 BURST = 0.2
 """A message that follows so soon belongs to a burst: as a part of the mean time between two."""

@@ -12,8 +12,7 @@ from roughmap_schemas.point_times import relative_ns
 from roughmap_schemas.robot_sections import SensorConfig
 from roughmap_service.cli.doctor.findings import Finding, table
 from roughmap_service.run.point_times import FIRING, NAMES, SHARES, SHORTEST_S, Ambiguous, find_form
-
-NS = 1_000_000_000
+from roughmap_service.run.settings import NS
 
 FEW, MOST = 0.01, 0.5
 """Parts of the points without a valid time: from the first one on it is told, from the second on it is wrong."""
