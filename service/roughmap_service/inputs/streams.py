@@ -54,7 +54,7 @@ NO_POINTS: Final[Mapping[str, int]] = {}
 
 RESTORED: Final = {
     POSES: "its poses are taken again", CLOUDS: "its clouds are mapped again", TRANSFORMS: "its transforms are taken",
-    ANY_CLOUDS: "its clouds can be read again", MESSAGES: "its messages are taken again",
+    ANY_CLOUDS: "its clouds are taken again", MESSAGES: "its messages are taken again",
 }  # fmt: skip
 
 
