@@ -191,7 +191,7 @@ def test_clouds_without_poses_point_to_what_is_wrong_with_the_poses(watch: Watch
     watch.feed(lambda: watch.streams.pose("r1", "frozen"))
     watch.feed(watch.cloud("no_pose"), 1)
     assert watch.streams.problems()["robot r1 sensor lidar"].endswith(
-        "the robot has none; see what is told of robot r1"
+        "none of the robot's poses is taken; see the line of robot r1"
     )
     watch.feed(lambda: watch.streams.pose("r1", None))
     watch.now += RENEWED

@@ -18,7 +18,7 @@ def times_unclear(random: Random) -> Fault:
         return [replace(m, times={"time": np.linspace(0.0, 1.0, len(m.points)).astype(np.float32)})]
 
     names = Names(
-        log=("stream_lost time_form", f'time_field.*in {table_of(sensor)}.*time_field = "none"'), health="time_field",
+        log=("stream_lost time_form", f'time_field = "none" in {table_of(sensor)}'), health="time_field",
         doctor=rf"unclear how the times of points in '{name_of(sensor)}' are meant.*from 0\S* to 1",
         advice=rf'{table_of(sensor)}\ntime_field = "none"$',
     )  # fmt: skip

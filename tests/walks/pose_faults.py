@@ -96,7 +96,7 @@ def no_transform(random: Random) -> Fault:
     frame = random.choice(("odom", "world", "camera_init"))
     names = Names(
         log=("stream_lost pose_frame", f'their frame is "{frame}".*publish a transform'), health="publish a transform",
-        doctor=rf"odometry in frame '{frame}' is rejected \(pose_frame\)", advice="publish that transform",
+        doctor=rf"odometry is in frame '{frame}': no transform to 'map' came", advice="publish that transform",
         verdict="note", of_sensor=False,
     )  # fmt: skip
     return Fault(of_odometry(lambda m: [replace(m, frame=frame)]), names, f"from {frame!r}")

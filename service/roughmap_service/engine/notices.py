@@ -8,7 +8,7 @@ from roughmap_schemas import Config, Odometry, PoseReason, SensorTimeEvent, Tran
 from roughmap_service.engine.figures import pose_figures
 from roughmap_service.host.counters import Counters
 from roughmap_service.host.log_lines import note
-from roughmap_service.inputs.remedies import sensor_table
+from roughmap_service.inputs.remedies import sensor_table, time_form_remedy
 from roughmap_service.inputs.streams import Streams
 from roughmap_service.run.decoding import Content
 from roughmap_service.run.odometry_clock import Verdict
@@ -38,6 +38,7 @@ class Notices:
         self._unestimated: set[str] = set()
         self._mixed: set[str] = set()
         self._clocks: dict[tuple[str, str], tuple[float, float]] = {}
+        self._unclear: set[tuple[str, str]] = set()
 
     def message(self, robot: str, content: Content, taken: Taken) -> None:
         """Notice what a logged message led to."""
@@ -92,11 +93,11 @@ class Notices:
                 else f"{sensor}: points have no times of their own; all lie at the cloud's stamp"
             )
             note(logger, logging.INFO, "sensor_time", text, robot=found.robot, frame_id=found.frame_id)
-        else:
-            text = (
-                f"{sensor}: clouds rejected, since the meaning of their points' times is unclear: {found.seen}. Set "
-                f"time_field, time_unit and time_origin in {sensor_table(config, found.robot, found.frame_id)}"
-            )
+            self._unclear.discard((found.robot, found.frame_id))
+        elif (found.robot, found.frame_id) not in self._unclear:  # once: that clouds are lost is told by the streams
+            self._unclear.add((found.robot, found.frame_id))
+            remedy = time_form_remedy(found.seen, sensor_table(config, found.robot, found.frame_id))
+            text = f"{sensor}: what the times of its points mean is unclear: {found.seen}; {remedy}"
             note(logger, logging.WARNING, "time_form", text, robot=found.robot, frame_id=found.frame_id)
 
     def _two_sources(self, robot: str) -> None:
@@ -120,8 +121,11 @@ class Notices:
             self._counters.pose(reason)
             figures = partial(pose_figures, reason, odometry, self._states[robot], taken.why)
             self._streams.pose(robot, reason, figures)
-        if taken.verdict.begins_anew:
-            text = f"robot {robot}: its clock went back; its poses begin anew, and clouds from before are rejected"
+        if taken.ended_from:  # not after a reset, or wild stamps at first: nothing is lost then
+            text = (
+                f"robot {robot}: its stamps went back: its clock was set, a recording began again, or two programs "
+                "publish its odometry; its poses begin anew, and clouds from before are rejected"
+            )
             note(logger, logging.WARNING, "clock_reset", text, robot=robot)
         self._two_sources(robot)
         if taken.verdict is Verdict.FORWARD and taken.leapt_s > 0.0:
@@ -132,7 +136,8 @@ class Notices:
             self._counters.jump(robot)
             text = (
                 f"robot {robot}: its pose leapt {leap.metres:.2f} m, {leap.radians:.2f} rad in {leap.seconds:.3f} s; "
-                "clouds over the leap are rejected, and ground that is already mapped does not move"
+                "clouds over the leap are rejected, and ground that is already mapped does not move; publish a "
+                "localisation's corrections as a transform, or raise input.max_leap if the robot moves like that"
             )
             note(logger, logging.WARNING, "leap", text, robot=robot, metres=leap.metres, seconds=leap.seconds)
         if taken.unestimated and robot not in self._unestimated:

@@ -54,7 +54,7 @@ NO_POINTS: Final[Mapping[str, int]] = {}
 
 RESTORED: Final = {
     POSES: "its poses are taken again", CLOUDS: "its clouds are mapped again", TRANSFORMS: "its transforms are taken",
-    ANY_CLOUDS: "its clouds can be read again", MESSAGES: "its messages are taken again",
+    ANY_CLOUDS: "its clouds are taken again", MESSAGES: "its messages are taken again",
 }  # fmt: skip
 
 
@@ -223,7 +223,7 @@ class Streams:
         if poses is None or not poses.losses.last:
             return Figures("no odometry has come from the robot")
         if poses.told:
-            return Figures("the robot has none", f"see what is told of robot {robot}")
+            return Figures("none of the robot's poses is taken", f"see the line of robot {robot}")
         since = now - poses.losses.last[-1].at
         return Figures(f"its last odometry came {since:.0f} s ago") if since > STOPPED else None
 
