@@ -1,6 +1,7 @@
 """What an operator should see of the messages that came in: counters and log lines."""
 
 import logging
+import math
 from collections.abc import Mapping
 from functools import partial
 
@@ -118,7 +119,8 @@ class Notices:
                 f"robot {robot}: its pose leapt {leap.metres:.2f} m, {leap.radians:.2f} rad in {leap.seconds:.3f} s; "
                 "clouds over the leap are rejected, and ground that is already mapped does not move"
             )
-            note(logger, logging.WARNING, "leap", text, robot=robot, metres=leap.metres, seconds=leap.seconds)
+            metres = leap.metres if math.isfinite(leap.metres) else None  # JSON has no infinity
+            note(logger, logging.WARNING, "leap", text, robot=robot, metres=metres, seconds=leap.seconds)
         if taken.unestimated and robot not in self._unestimated:
             self._unestimated.add(robot)
             text = f"robot {robot}: its odometry does not estimate all of its covariance; input.pose_sigma stands in"
