@@ -40,7 +40,7 @@ from roughmap_service.run.poses import NoTrajectory, Pose
 from roughmap_service.run.robot import OdometryTaken, Robot
 from roughmap_service.run.sensor_clock import Doubt, SensorClock
 from roughmap_service.run.sensor_times import Reading, SensorTimes
-from roughmap_service.run.settings import NS, Settings
+from roughmap_service.run.settings import Settings, time_offset_ns
 
 KNOWN_WHEN_PLACED = (INTEGRATED, CloudReason.EMPTY, CloudReason.TOO_MANY_TILES)
 """Outcomes that follow from placing the cloud. All others are known before."""
@@ -306,7 +306,7 @@ class Run:
         if self.settings.rules == 1 or cloud.cloud.frame_id == self.settings.frame_id:
             return
         robot, config = self.robot(cloud.robot), self.settings.config.sensor(*cloud.sensor)
-        offset_ns = 0 if config is None else round(config.time_offset * NS)
+        offset_ns = 0 if config is None else time_offset_ns(config)
         sensor = robot.sensors.setdefault(cloud.cloud.frame_id, SensorClock())
         doubt = sensor.cloud(cloud.input, stamp_ns + offset_ns, received_ns, robot.clock)
         if doubt is not None:

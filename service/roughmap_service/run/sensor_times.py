@@ -6,7 +6,7 @@ from typing import Any, Self
 
 from roughmap_schemas import NO_TIMES, Cloud, SensorConfig, TimeForm, contract_timed, timed
 from roughmap_service.run.point_times import NAMES, Ambiguous, find_form, misfit
-from roughmap_service.run.settings import NS, Settings
+from roughmap_service.run.settings import Settings, time_offset_ns
 
 MISFITS = 5
 """Clouds in a row whose times have another form, after which the form is found anew."""
@@ -62,7 +62,7 @@ class SensorTimes:
         timeless = config.time_field == "auto" and not any(one.name in NAMES for one in cloud.time_fields)
         if form is None and (timeless or config.time_field == "none"):
             form = NO_TIMES
-        return None if form is None else Reading(form, round(config.time_offset * NS))
+        return None if form is None else Reading(form, time_offset_ns(config))
 
     def count(self, robot: str, cloud: Cloud, settings: Settings) -> None:
         """Count a new cloud that does not fit the form found; after `MISFITS` in a row, forget the form."""
