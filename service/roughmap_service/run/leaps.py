@@ -11,7 +11,7 @@ from roughmap_service.run.poses import Pose
 MOTION_NS = 100_000_000
 """Time over which a robot's velocity is taken: over less, the noise of its poses would be most of it."""
 
-LOOKED_AT = 1000
+LOOKED_AT = 400
 """Poses that are looked at for it: where each one leaps, as with two sources, there would be no end."""
 
 MAX_TURN_LEAP = 0.3
@@ -72,7 +72,7 @@ def find_leap(
 
 
 def motion_before(poses: Sequence[Pose], at: int) -> Motion | None:
-    """Return the motion over the last 0.1 s or more without a leap before a pose; None if the last 1000 have none."""
+    """Return the motion over the last 0.1 s or more without a leap before a pose; None if the last 400 poses have none."""
     end, first = at - 1, max(at - 1 - LOOKED_AT, 0)
     while end > first:
         start = end
