@@ -255,6 +255,14 @@ def test_strangers_take_no_room_from_robots_and_nothing_grows_without_bound(watc
     assert max(len(subject) for subject in watch.streams.problems()) < 300
 
 
+def test_frames_that_nobody_configured_do_not_crowd_out_a_robot_that_is_lost(watch: Watch) -> None:
+    for number in range(MAX_STRANGERS):
+        watch.feed(lambda n=number: watch.streams.refused("r1", f"f{n}", "unknown_sensor", ""), 10, 0.0)  # type: ignore[misc]
+    watch.feed(lambda: watch.streams.pose("r2", "frozen"), 10, 0.0)
+    listed = list(watch.streams.problems())
+    assert (listed[0], len(listed)) == ("robot r2", MAX_PROBLEMS)
+
+
 def test_the_frame_of_a_broken_cloud_is_found_where_there_is_one() -> None:
     assert frame_of(b"\x12\x05lidar\x32\xff\xff\xff\x0f") == "lidar"
     assert frame_of(b"\x12\x7flidar") == ""

@@ -1,6 +1,7 @@
 """What an operator should see of the messages that came in: counters and log lines."""
 
 import logging
+import math
 from collections.abc import Mapping
 from functools import partial
 
@@ -139,7 +140,8 @@ class Notices:
                 "clouds over the leap are rejected, and ground that is already mapped does not move; publish a "
                 "localisation's corrections as a transform, or raise input.max_leap if the robot moves like that"
             )
-            note(logger, logging.WARNING, "leap", text, robot=robot, metres=leap.metres, seconds=leap.seconds)
+            metres = leap.metres if math.isfinite(leap.metres) else None  # JSON has no infinity
+            note(logger, logging.WARNING, "leap", text, robot=robot, metres=metres, seconds=leap.seconds)
         if taken.unestimated and robot not in self._unestimated:
             self._unestimated.add(robot)
             text = f"robot {robot}: its odometry does not estimate all of its covariance; input.pose_sigma stands in"

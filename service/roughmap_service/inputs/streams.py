@@ -151,13 +151,13 @@ class Streams:
             note(logger, logging.WARNING, "remark", sentence, robot=key.robot, reason=name, subject=subject)
 
     def problems(self) -> dict[str, str]:
-        """Return the sentence on each subject that has a problem, at most `MAX_PROBLEMS`; call it now and then: it also
-        ends the problems of subjects that have gone silent."""
+        """Return the sentence on each subject that has a problem, at most `MAX_PROBLEMS`, those of which every message
+        was refused last; call it now and then: it also ends the problems of subjects that have gone silent."""
         now = self._clock()
         with self._lock:
             silent = self._end_silent(now)
             found: dict[str, str] = {}
-            for subject, watched in self._watched.items():
+            for subject, watched in sorted(self._watched.items(), key=lambda item: item[1].stranger):
                 told = [stream.told for stream in watched.streams.values() if stream.told]
                 if watched.remarks and now - watched.heard <= SILENT:
                     told += watched.remarks.values()
