@@ -110,8 +110,8 @@ class Notices:
         if mixed:
             self._mixed.add(robot)
             text = (
-                f"robot {robot}: its odometry comes from two sources out of step; poses are sorted by stamp, at a cost in "
-                "clouds and accuracy; let only one of them send"
+                f"robot {robot}: its odometry comes from two sources out of step; poses are sorted by stamp, which "
+                "costs clouds and accuracy; let only one of them send"
             )
         else:
             self._mixed.remove(robot)
