@@ -72,7 +72,7 @@ def find_leap(
 
 
 def motion_before(poses: Sequence[Pose], at: int) -> Motion | None:
-    """Return the motion over the last 0.1 s or more without a leap before a pose; None if the last 400 poses have none."""
+    """Return the motion over the last 0.1 s or more without a leap before a pose; None if the last 400 have none."""
     end, first = at - 1, max(at - 1 - LOOKED_AT, 0)
     while end > first:
         start = end
