@@ -5,13 +5,18 @@ import math
 import numpy as np
 
 from roughmap.cell import TILE_CELLS
+from roughmap_schemas import SensorConfig
 from roughmap_schemas.config import Config
+from roughmap_schemas.geometry import rotation_matrix
 from roughmap_service.cli.doctor.findings import Finding, table
 from roughmap_service.cli.doctor.heard import HeardSensor
 from roughmap_service.cli.doctor.survey import Survey
 
 NO_RANGE = 1_000.0
 """Metres. A usual point is nearer: such coordinates have another unit."""
+
+EXCLUDED = 0.9
+"""Share of a sensor's points within its ``exclude`` boxes that can't be meant."""
 
 ROOM = 2
 """Margin between the tiles that the points of a cloud fall into and those that their error bodies touch."""
@@ -70,7 +75,27 @@ def judge_points(
         )
         text = f"points in {where} are {median:.2f} m away (median); {name} = {value:g} rejects all of them"
         findings.append(Finding(robot, "wrong", text, f"correct {name} in [{'.'.join(table_names)}]"))
+    findings += _excluded(robot, frame, surveys, settings, table_names)
     return findings + _room(robot, frame, surveys, config, settings.max_range, table_names)
+
+
+def _excluded(
+    robot: str, frame: str, surveys: list[Survey], settings: SensorConfig, table_names: tuple[str, ...]
+) -> list[Finding]:
+    """Judge whether the sensor's ``exclude`` boxes, in the robot's frame, hold nearly all of its points."""
+    if not settings.exclude:
+        return []
+    turn = np.array(rotation_matrix(settings.rotation))
+    points = np.concatenate([one.some for one in surveys]) @ turn.T + np.array(settings.translation)
+    inside = np.zeros(len(points), np.bool_)
+    for box in np.array(settings.exclude):
+        inside |= ((points >= box[:3]) & (points <= box[3:])).all(axis=1)
+    share = float(inside.mean())
+    if share < EXCLUDED:
+        return []
+    text = f"{100.0 * share:.0f} % of the points in clouds in {frame!r} lie in the boxes of exclude: they are rejected"
+    remedy = f"correct exclude in [{'.'.join(table_names)}]: its boxes are in the robot's frame, for the robot itself"
+    return [Finding(robot, "wrong", text, remedy)]
 
 
 def _room(

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from roughmap.cell import TILE_CELLS
 from roughmap_service.run.returns import repeated_returns
 
+SOME = 256
+"""Returns of a cloud that are kept."""
+
 FARTHEST = 1e9
 """Metres. Greater distances count as this one."""
 
@@ -21,6 +24,7 @@ class Survey:
         points: all points; ``returns``: those that are finite and not (0, 0, 0).
         equal: how many points are rejected as ``duplicate_return``, and ``equal_at``: the first of them.
         ranges: 10th, 50th and 90th percentile and maximum of the returns' distances, metres.
+        some: (M, 3) up to `SOME` returns, metres, in the sensor's frame.
         tile_ranges: of each tile that a return falls into, the distance of the nearest one, in ascending order.
     """
 
@@ -29,6 +33,7 @@ class Survey:
     equal: int
     equal_at: tuple[float, float, float]
     ranges: tuple[float, float, float, float]
+    some: NDArray[np.float64]
     tile_ranges: NDArray[np.float32]
 
     def tiles(self, max_range: float) -> int:
@@ -43,7 +48,7 @@ def survey(points: NDArray[np.floating[Any]], cell_size: float) -> Survey:
     returns = np.ascontiguousarray(whole[good])
     if not len(returns):
         nothing = np.empty(0, np.float32)
-        return Survey(len(whole), 0, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), nothing)
+        return Survey(len(whole), 0, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), returns, nothing)
     with np.errstate(over="ignore"):
         distances = np.minimum(np.sqrt((returns * returns).sum(axis=1)), FARTHEST)
     quantiles = np.percentile(distances, [10, 50, 90, 100])
@@ -56,6 +61,7 @@ def survey(points: NDArray[np.floating[Any]], cell_size: float) -> Survey:
         equal,
         (x, y, z),
         (float(quantiles[0]), float(quantiles[1]), float(quantiles[2]), float(quantiles[3])),
+        returns[:: len(returns) // SOME + 1].copy(),
         _tile_ranges(returns, distances, cell_size * TILE_CELLS),
     )
 
