@@ -6,7 +6,7 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-random test-recordings check audit bench bench-peers faults fuzz soak overload schemas lock image container-test clean
+.PHONY: help setup demo test test-random test-recordings check audit bench bench-peers faults walks fuzz soak overload schemas lock image container-test clean
 
 help:  ## show this list
 	@echo "make TARGET, where TARGET is:"
@@ -55,6 +55,9 @@ bench-peers: $(READY)  ## measure other Python libraries on the same points, in 
 
 faults: $(READY)  ## cause kills, power cuts, full disks, damage and bad links; about 10 minutes
 	$(BIN)/python tests/faults/run.py $(ARGS)
+
+walks: $(READY)  ## simulate robots with one fault each: who names it, how soon; about 3 minutes; ARGS="--only leap"
+	$(BIN)/python tests/walks/run.py $(ARGS)
 
 fuzz: $(READY)  ## feed arbitrary bytes to every reader of bytes; ARGS="--seconds 600", findings in fuzz/
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r tests/fuzz/requirements.txt || true

@@ -141,7 +141,7 @@ FAULTS = {
     "a frame with a slash": Fault(
         Drive(frame="/map"), "wrong", "odometry in frame '/map' is rejected (pose_frame): the map's frame is 'map'"),
     "no transform": Fault(
-        Drive(frame="odom"), "note", "odometry in frame 'odom' is rejected (pose_frame): no transform leads to 'map'"),
+        Drive(frame="odom"), "note", "odometry is in frame 'odom': no transform to 'map' came"),
     "another transform": Fault(
         Drive(frame="odom", transforms=[heard_transform(0.1, NOW, "vio")]), "wrong",
         "odometry in frame 'odom' is rejected (pose_frame): no transform leads to 'map'"),
@@ -184,6 +184,10 @@ FAULTS = {
     "times from 0 to 1": Fault(
         Drive(point_times=lambda _, s: (s / 0.0999).astype(np.float32)), "wrong",
         "it is unclear how the times of points in 'lidar' are meant: t (float32) from 0 to 1"),
+    "times from 0 to 1 taken for seconds": Fault(
+        Drive(point_times=lambda _, s: (s / 0.0999).astype(np.float32)), "wrong",
+        "points in 'lidar' have times: t (float32) in s from the sweep's start, over 1.0000 s, but clouds are 0.1 s",
+        {"sensors": {"lidar": {**LIDAR, "time_field": "t", "time_unit": "s", "time_origin": "start"}}}),
     "times in a unit that is not the configured one": Fault(
         Drive(point_times=lambda _, s: np.rint(s * 1e6).astype(np.uint32)), "wrong",
         "times of points in 'lidar' are read as t (uint32) in ms from the sweep's start, which they are not",
@@ -199,6 +203,7 @@ TOGETHER = {
     "a sensor with a slash": ["no cloud of sensor lidar"],
     "millimetres": ["points beyond", "a cloud in"],
     "poses too rarely": ["odometry at 1.0 Hz is slower", "28 of 70 clouds in 'lidar' had no pose"],
+    "times from 0 to 1 taken for seconds": ["clouds in 'lidar' come", "70 of 70 clouds in 'lidar' had no pose"],
     "poses that come late": ["clouds in 'lidar' come 0.68 s sooner than poses of the same stamp"],
 }
 """Faults that are seen in more than one way."""

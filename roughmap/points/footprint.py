@@ -152,13 +152,20 @@ def bound_cuboids(planes: F8, reason: U1, cells: I4, body: F8, q: F8, a: float, 
         sy = k * math.sqrt(yy)
         rx = max(sx, least)
         ry = max(sy, least)
-        sz = math.sqrt(zz)
-        rz = max(k * sz, least)
+        rz = max(k * math.sqrt(zz), least)
         density = a / (rx * ry * rz)
         good = _is_covariance(xx, xy, xz, yy, yz, zz)
         good &= (density > _DENSITY_MIN) & (density < _DENSITY_MAX)
         _bound(
-            n, planes, reason, cells, rx, ry, _covariance_reason(good, (max(sx, sy) > widest) | (sz > tallest)), a, area
+            n,
+            planes,
+            reason,
+            cells,
+            rx,
+            ry,
+            _covariance_reason(good, (max(sx, sy) > widest) | (zz > tallest * tallest)),
+            a,
+            area,
         )
         body[0, n] = rx
         body[1, n] = ry
@@ -182,7 +189,7 @@ def bound_ellipsoids(
     for n in range(BLOCK):
         xx, xy, xz, yy, yz, zz = _covariance(planes, n)
         good = _is_covariance(xx, xy, xz, yy, yz, zz)
-        judged[n] = _covariance_reason(good, (k * math.sqrt(max(xx, yy)) > widest) | (math.sqrt(zz) > tallest))
+        judged[n] = _covariance_reason(good, (k * math.sqrt(max(xx, yy)) > widest) | (zz > tallest * tallest))
         d0, d1, d2 = pivots(xx, xy, xz, yy, yz, zz)
         m0, m1, m2 = pivots(xx - floor, xy, xz, yy - floor, yz, zz - floor)
         thick = (m0 > 0.0) & (m1 > 0.0) & (m2 > 0.0)

@@ -77,8 +77,9 @@ class BatchMap(Mapping[str, F8]):
             S = _checked_covariances(covariance, len(where))
             _reject(reason, ~_is_covariance(S), PointReason.COVARIANCE)
             spread = np.sqrt(np.clip(np.maximum(S[:, 0, 0], S[:, 1, 1]), 0.0, None))
-            high = np.sqrt(np.clip(S[:, 2, 2], 0.0, None))
-            too_wide = (coverage * spread > max_horizontal_radius) | (high > max_vertical_sigma)
+            too_wide = (coverage * spread > max_horizontal_radius) | (
+                S[:, 2, 2] > max_vertical_sigma * max_vertical_sigma
+            )
             _reject(reason, too_wide, PointReason.UNCERTAIN)
         _reject(reason, abs(where[:, 2]) > HEIGHT_MAX, PointReason.BOUNDS)
         if bounds is not None:

@@ -5,6 +5,7 @@ clouds have is the service's decision, told by the event `sensor_time`.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
@@ -102,11 +103,13 @@ def contract_timed(cloud: "Cloud") -> "Cloud":
 
 def sample(values: NDArray[Any], most: int = SAMPLED) -> NDArray[Any]:
     """Return ``values``, or ``most`` of them from places that no regular pattern favours, the same ones each time."""
-    if len(values) <= most:
-        return values
+    return values if len(values) <= most else values[_places(len(values), most)]
+
+
+@lru_cache(maxsize=4)
+def _places(number: int, most: int) -> NDArray[np.int64]:
     # Weyl's sequence: a stride would meet only bad values if, say, each fifth one is bad.
-    places = np.arange(1, most + 1) * GOLDEN % 1.0 * len(values)
-    return values[places.astype(np.int64)]
+    return (np.arange(1, most + 1) * GOLDEN % 1.0 * number).astype(np.int64)
 
 
 def relative_ns(values: NDArray[Any], stamp_ns: int, form: TimeForm) -> tuple[NDArray[np.int64], int, int]:

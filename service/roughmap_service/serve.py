@@ -288,10 +288,8 @@ class Service:
         stack.callback(self._queue.close)  # after the subscribers are gone; refuses further messages
         limit = self._config.input.max_message
         stack.enter_context(
-            ZenohInputs(
-                self._session, self._keys, self._queue, self._receipts, limit, self._counters, self._streams
-            )
-        )  # fmt: skip
+            ZenohInputs(self._session, self._keys, self._queue, self._receipts, limit, self._counters, self._streams)
+        )
 
     def _show(self, stack: ExitStack) -> None:
         connect_pages(self._parts, self._answers, self._sources, self._status, self._config)

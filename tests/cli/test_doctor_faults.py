@@ -241,3 +241,9 @@ def test_names_from_outside_are_bounded() -> None:
     areas = {finding.area for finding in told}
     assert len(areas) <= 256 + 2
     assert len([finding for finding in told if finding.area == "r1"]) < 64 * 8
+
+
+def test_stamps_that_are_too_close_at_first_do_not_make_times_unclear() -> None:
+    """The service is content with the first cloud, whose times have one meaning only."""
+    close = Drive(cloud_stamps=lambda t, n: NOW + round((t - 0.04 * min(n, 5)) * 1e9))
+    assert not [text for _, text in not_well(findings(close.messages())) if "unclear" in text]

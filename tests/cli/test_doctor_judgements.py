@@ -174,7 +174,7 @@ def test_what_the_service_made_of_it() -> None:
     points = PointCounts(accepted=1000, rejected={PointReason.UNCERTAIN: 3000})
     uncertain = status(CloudCounts(accepted=130), points, problems={"robot r1": "all is lost; do this"})
     assert [(finding.area, finding.text) for finding in judge_service(before, uncertain)] == [
-        ("robot r1", "all is lost; do this"),
+        ("service", "all is lost; do this"),
         ("service", "rejected 3,000 of 3,000 points meanwhile: uncertain 3,000"),
     ]
 

@@ -98,11 +98,12 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
     ),
     "slow poses": (
         {}, {"pose_period": 0.6, "seconds": 4.0},
-        ["the robot's poses are 0.6 s apart (input.max_pose_gap = 0.5); publish poses more often"],
+        ["the robot's poses are 0.6 s apart (input.max_pose_gap = 0.5)",
+         "publish poses more often, or set max_pose_gap = 0.9 and max_wait = 0.9 in [input]"],
     ),
     "no frame": (
         {}, {"frame": "/map"},
-        ['their frame is "/map"; no transform is known; write their frame as "map"', "see what is told of robot rover"],
+        ['their frame is "/map"; no transform is known; write their frame as "map"', "see the line of robot rover"],
     ),
     "tiles": (
         {"map": {"cell_size": 0.02}}, {"points": FAR},
@@ -155,3 +156,11 @@ def test_the_reach_is_where_the_error_meets_the_limit(limit: float, sigma: float
     assert reach >= 0.0
     if 0.0 < reach < 1e6:
         assert np.hypot(sigma, angle * reach) == pytest.approx(limit)
+
+
+def test_unclear_times_are_told_once_beside_the_loss(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING)
+    with LoggedRun(tmp_path / "log", config(sensors={"lidar": {"range_sigma": 0.01, "time_field": "stamp"}})) as run:
+        drive(run, seconds=4.0)
+    events = [getattr(record, "event", "") for record in caplog.records]
+    assert sorted(events) == ["stream_lost", "time_form"]

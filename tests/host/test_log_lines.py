@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from roughmap_schemas import MessageFault
+from roughmap_schemas import Config, MessageFault
+from roughmap_schemas.kinds import Kind
 from roughmap_schemas.messages import MapStatus
 from roughmap_service.host.counters import OTHERS, REFUSED_ROBOTS, Counters
 from roughmap_service.host.log_lines import (
@@ -23,6 +24,7 @@ from roughmap_service.host.log_lines import (
 )
 from roughmap_service.inputs import admission
 from roughmap_service.inputs.admission import refuse
+from roughmap_service.inputs.streams import Streams
 from roughmap_service.watch.status import Overload
 
 
@@ -89,12 +91,12 @@ def test_each_robot_s_first_refusal_of_a_kind_is_reported_and_a_flood_of_names_i
     logger = logging.getLogger(admission.__name__)
     monkeypatch.setattr(logger, "handlers", [])
     stream, _ = lines_to(logger, JsonFormatter())
-    counters = Counters()
+    counters, streams = Counters(), Streams(Config())
     for _ in range(REPEATS + 1):
-        refuse(counters, "r1", MessageFault("unknown_sensor", "frame 'sonar'"))
-    refuse(counters, "r1", MessageFault("bad_message", "no cloud"))
-    refuse(counters, "r2", MessageFault("unknown_sensor", "frame 'radar'"))
-    refuse(counters, OTHERS, MessageFault("bad_key", "x" * 10_000))
+        refuse(counters, streams, "r1", Kind.POINTS, MessageFault("unknown_sensor", "frame 'sonar'"))
+    refuse(counters, streams, "r1", Kind.POINTS, MessageFault("bad_message", "no cloud"))
+    refuse(counters, streams, "r2", Kind.POINTS, MessageFault("unknown_sensor", "frame 'radar'"))
+    refuse(counters, streams, OTHERS, Kind.POINTS, MessageFault("bad_key", "x" * 10_000))
     told = [json.loads(line) for line in stream.getvalue().splitlines()]
     assert [(line["robot"], line["reason"]) for line in told] == [
         *[("r1", "unknown_sensor")] * REPEATS, ("r1", "bad_message"), ("r2", "unknown_sensor"), (OTHERS, "bad_key")
@@ -102,7 +104,7 @@ def test_each_robot_s_first_refusal_of_a_kind_is_reported_and_a_flood_of_names_i
     assert told[0]["message"] == "robot r1: message refused, unknown_sensor: frame 'sonar'"
     assert len(told[-1]["message"]) < 1000
     for number in range(2 * MAX_KINDS):
-        refuse(counters, f"flood{number}", MessageFault("unknown_robot", "not in input.robots"))
+        refuse(counters, streams, f"flood{number}", Kind.POINTS, MessageFault("unknown_robot", "not in input.robots"))
     assert len(stream.getvalue().splitlines()) <= len(told) + REFUSED_ROBOTS + REPEATS
     assert counters.snapshot().refused["unknown_robot"] == 2 * MAX_KINDS
 
@@ -164,16 +166,17 @@ def test_the_form_follows_the_terminal_and_the_setting(monkeypatch: pytest.Monke
 def test_an_overload_is_reported_when_it_begins_and_ends(caplog: pytest.LogCaptureFixture, status: MapStatus) -> None:
     overload = Overload()
     with caplog.at_level(logging.INFO):
-        for health, dropped in (
-            ("ok", 5),
-            ("overloaded", 8),
-            ("overloaded", 20),
-            ("degraded", 25),
-            ("ok", 30),
-            ("ok", 30),
+        for subjects, dropped in (
+            ((), 5),
+            (("overload",), 8),
+            (("overload", "robot r1"), 20),
+            (("overload", "log"), 25),
+            (("robot r1",), 30),
+            ((), 30),
         ):
             clouds = status.clouds.model_copy(update={"rejected": {"overload": dropped}})
-            overload.watch(status.model_copy(update={"health": health, "clouds": clouds}))
+            problems = dict.fromkeys(subjects, "as the test wants it")
+            overload.watch(status.model_copy(update={"problems": problems, "clouds": clouds}))
     assert [record.event for record in caplog.records] == ["overload_begun", "overload_ended"]  # type: ignore[attr-defined]
     assert caplog.records[1].fields == {"dropped": 25}  # type: ignore[attr-defined]
 

@@ -191,7 +191,7 @@ def test_clouds_without_poses_point_to_what_is_wrong_with_the_poses(watch: Watch
     watch.feed(lambda: watch.streams.pose("r1", "frozen"))
     watch.feed(watch.cloud("no_pose"), 1)
     assert watch.streams.problems()["robot r1 sensor lidar"].endswith(
-        "the robot has none; see what is told of robot r1"
+        "none of the robot's poses is taken; see the line of robot r1"
     )
     watch.feed(lambda: watch.streams.pose("r1", None))
     watch.now += RENEWED
@@ -253,6 +253,14 @@ def test_strangers_take_no_room_from_robots_and_nothing_grows_without_bound(watc
     watch.feed(lambda: watch.streams.refused("r1", long, "unknown_sensor", long))
     assert max(map(len, watch.streams.problems().values())) <= 1000
     assert max(len(subject) for subject in watch.streams.problems()) < 300
+
+
+def test_frames_that_nobody_configured_do_not_crowd_out_a_robot_that_is_lost(watch: Watch) -> None:
+    for number in range(MAX_STRANGERS):
+        watch.feed(lambda n=number: watch.streams.refused("r1", f"f{n}", "unknown_sensor", ""), 10, 0.0)  # type: ignore[misc]
+    watch.feed(lambda: watch.streams.pose("r2", "frozen"), 10, 0.0)
+    listed = list(watch.streams.problems())
+    assert (listed[0], len(listed)) == ("robot r2", MAX_PROBLEMS)
 
 
 def test_the_frame_of_a_broken_cloud_is_found_where_there_is_one() -> None:

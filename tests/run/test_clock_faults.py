@@ -35,6 +35,15 @@ def test_a_step_of_the_robots_clock(hz: float, by: float) -> None:
     assert Counter(found.outcomes)["integrated"] >= 14 * 10 - 12
 
 
+@pytest.mark.parametrize("latency", [0.0, 0.35])
+@pytest.mark.parametrize(("by", "hz"), [(-0.19, 10.0), (-0.11, 50.0), (-0.3, 50.0), (-0.45, 50.0)])
+def test_scans_that_come_long_after_the_poses_of_a_new_time(by: float, hz: float, latency: float) -> None:
+    """Scans made before a clock went back arrive after it did: poses of the new time must not place them."""
+    drive = Drive(odometry_hz=hz, clock=steps((6.0, by)), scan_latency=latency)
+    found = run(drive)
+    assert found.worst <= drive.speed / drive.odometry_hz + ROUNDING
+
+
 CLOCKS = st.lists(st.tuples(st.floats(1.0, 9.0), st.floats(-11.0, 11.0)), max_size=3).map(lambda s: steps(*s))
 
 

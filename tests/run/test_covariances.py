@@ -319,3 +319,14 @@ def test_a_robot_tells_what_was_not_estimated(variance: float, unestimated: bool
     c = np.diag([0.01, 0.01, variance, 0.01, 0.01, 0.01])
     taken = robot().take_odometry(Odometry(T0, "map", "base", (0.0, 0.0, 0.0), LEVEL, c), 1, 0)
     assert (taken.settled, taken.unestimated) == ([None], unestimated)
+
+
+@pytest.mark.parametrize("policy", ["floor", "cap"])
+def test_the_smallest_variance_there_is_can_be_scaled(policy: Policy) -> None:
+    """By a factor that no float holds."""
+    c = np.diag([5e-324, *[1e-300] * 5])
+    c[0, 1] = c[1, 0] = 5e-324
+    c[3, 4] = c[4, 3] = 1e-300
+    got = given_by(settle(c, SIGMA, policy))
+    assert is_covariance(got)
+    np.testing.assert_allclose(np.diag(got), OWN if policy == "floor" else np.diag(c), rtol=1e-5)

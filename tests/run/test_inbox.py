@@ -10,6 +10,7 @@ from roughmap_schemas import Cloud, CloudReason, Odometry
 from roughmap_service.run.inbox import INTEGRATED, Arrival, Inbox, LoggedCloud, Proposal
 from roughmap_service.run.robot import OdometryTaken, Robot
 from roughmap_service.run.sensor_clock import Doubt
+from roughmap_service.run.sensor_times import BY_CONTRACT
 from roughmap_service.run.settings import Settings
 
 SETTINGS = Settings(
@@ -47,7 +48,7 @@ class Desk:
         last = first if until is None else T0 + round(until * SECOND)
         held = Cloud(frame, first, np.zeros((1, 3)), None)
         self.inbox.feed(
-            LoggedCloud(self.inputs, robot, held, first, last, size, Arrival(now, promised=ingested), timed=True)
+            LoggedCloud(self.inputs, robot, held, first, last, size, Arrival(now, promised=ingested), BY_CONTRACT)
         )
         return self.inputs
 
@@ -339,6 +340,7 @@ def test_a_clock_that_went_back_ends_all_that_its_robot_waited_with() -> None:
     desk = Desk()
     desk.drive(0.0, 0.9)
     first, other, second = desk.cloud(1.0), desk.cloud(1.0, robot="b"), desk.cloud(1.1, ingested=True, frame="two")
+    desk.drive(0.95, 0.95)  # those that came after the last pose are told apart by the run
     assert [desk.pose(t).verdict.begins_anew for t in (0.1, 0.2, 0.3)] == [False, False, True]
     after = desk.cloud(5.0)
     assert sorted(desk.all()) == [(first, CloudReason.CLOCK_RESET), (second, CloudReason.CLOCK_RESET)]
@@ -362,7 +364,7 @@ def test_what_a_message_costs_does_not_grow_with_what_waits(promised: int) -> No
             Looked.looks = 0
             held = Cloud("lidar", T0 + number, np.zeros((1, 3)), None)
             arrival = Arrival(0.0, promised=number < promised)
-            inbox.feed(Looked(number, "a", held, T0 + number, T0 + number, 1, arrival, timed=True))
+            inbox.feed(Looked(number, "a", held, T0 + number, T0 + number, 1, arrival, BY_CONTRACT))
             assert not inbox.holds_before("a", T0)
         assert [decision.cloud.input for decision in inbox.ended] == [promised], "the last one had no room"
         return Looked.looks

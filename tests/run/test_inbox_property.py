@@ -12,6 +12,7 @@ from roughmap_schemas import Cloud, CloudReason, Odometry
 from roughmap_service.run.inbox import INTEGRATED, Arrival, Inbox, LoggedCloud, Proposal
 from roughmap_service.run.robot import Robot
 from roughmap_service.run.sensor_clock import Doubt
+from roughmap_service.run.sensor_times import BY_CONTRACT
 from roughmap_service.run.settings import Settings
 
 TENTH = 10**8
@@ -64,7 +65,7 @@ def test_one_decision_a_cloud_in_order(row: list[tuple]) -> None:
             first = T0 + t * TENTH + 1
             held = Cloud(frame, first, np.zeros((1, 3)), None)
             clouds[number] = LoggedCloud(
-                number, robot, held, first, first + long * TENTH, size, Arrival(now, promised=ingested), timed=True
+                number, robot, held, first, first + long * TENTH, size, Arrival(now, promised=ingested), BY_CONTRACT
             )
             if doubt is not None:
                 in_doubt[number] = doubt

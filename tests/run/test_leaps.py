@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from properties import examples
 from service_tools import LEVEL, PRECISE, SECOND, T0, config
 
 from roughmap_schemas import Odometry
-from roughmap_service.run.leaps import MAX_TURN_ACCELERATION, MAX_TURN_LEAP, find_leap, motion_before
+from roughmap_service.run.leaps import LOOKED_AT, MAX_TURN_ACCELERATION, MAX_TURN_LEAP, find_leap, motion_before
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.robot import Robot
 from roughmap_service.run.settings import Settings
@@ -235,3 +236,20 @@ def test_a_turn_beyond_the_bound_always_leaps(hz: float, rate: float, more: floa
     row = [(float(t), 0.0) for t in times]
     assert leaps(row, yaws) == [at]
     assert leaps(row, [rate * t for t in times]) == []
+
+
+def test_where_each_pose_leaps_not_all_are_looked_at() -> None:
+    """Two sources at 1 kHz each, 1 m apart: a message must not cost a walk over all poses."""
+    looked: list[int] = []
+
+    class Looked(list[Pose]):
+        def __getitem__(self, at: Any) -> Any:
+            looked.append(at)
+            return super().__getitem__(at)
+
+    robot = heard([(0.0005 * k, float(k % 2)) for k in range(3000)])
+    poses = Looked(robot.buffer.poses)
+    assert sum(pose.leapt for pose in poses) > 2900
+    assert motion_before(poses, len(poses) - 1) is None
+    assert min(looked) >= len(poses) - 2 - LOOKED_AT
+    assert len(looked) < 10 * LOOKED_AT

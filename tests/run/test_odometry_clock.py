@@ -259,9 +259,34 @@ class TestTwoSources:
 
     def test_three_breaks_within_the_history_show_them(self) -> None:
         heard = Heard(STEADY)
-        shown = [heard.add(t).two_sources for t in self.mixed(10)]
-        assert sum(shown) == 1
+        shown = []
+        for t in self.mixed(10):
+            heard.add(t)
+            shown.append(heard.robot.clock.two_sources)
+        assert shown == sorted(shown), "not, then ever"
+        assert shown[-1]
+        assert not shown[3]
+
+    @pytest.mark.parametrize("late", [3.7, 8.3, 40.0])
+    def test_one_that_is_so_late_that_its_stamps_never_go_on_shows_them_too(self, late: float) -> None:
+        """Each of its poses is dropped, until it is known as a source: then they are sorted in."""
+        heard = Heard(STEADY)
+        for k in range(1, 40):
+            heard.all([START + 20 + k, START + 20 + k - late])
         assert heard.robot.clock.two_sources
+
+    def test_one_source_again(self) -> None:
+        heard = Heard(STEADY)
+        for t in self.mixed(10):
+            heard.add(t)
+        heard.all([START + 29 + k for k in range(1, 40)])
+        assert not heard.robot.clock.two_sources
+
+    def test_one_wild_stamp_in_eight_does_not(self) -> None:
+        heard = Heard(STEADY)
+        for k in range(1, 200):
+            heard.add(START + 20 + k - (0 if k % 8 else 8.3))
+        assert not heard.robot.clock.two_sources
 
     def test_three_breaks_far_apart_do_not(self) -> None:
         heard = Heard(STEADY)

@@ -42,7 +42,7 @@ def state(settings: Config | None = None) -> Run:
 def integrate(s: Run, cloud: Cloud, **values: object) -> IntegrationEvent:
     """The cloud as input 3, placed with both poses unless ``values`` of the event say otherwise."""
     if cloud.time_fields:
-        s.times.forms["rover", cloud.frame_id] = TimeForm("t", "ns", "start")
+        s.times.take(("rover", cloud.frame_id), TimeForm("t", "ns", "start"), s.settings)
     s.keep(3, "rover", cloud)
     given = {
         "epoch": 0, "input": 3, "robot": "rover", "poses": [(1, 0), (2, 0)], "outcome": "integrated", "accepted": 0,

@@ -155,3 +155,17 @@ def test_points_beyond_the_end_of_time_are_waited_for_by_nobody() -> None:
 def test_a_cloud_with_no_time_left_has_its_stamp() -> None:
     cloud = Cloud("lidar", END - 1, np.ones((2, 3)), np.array([1, SECOND]))
     assert span(cloud) == (END - 1, END - 1)
+
+
+@pytest.mark.parametrize("offset", [-1.7e308, -1e300, -5e9, -1.7e9, 0.0, 1e-300, 2.5e9, 1e18, 1.7e308])
+def test_any_offset_that_the_configuration_takes(offset: float) -> None:
+    """Stamps that it moves out of all time are rejected; nothing fails."""
+    feed = Feed(config(sensors={"lidar": {"range_sigma": 0.01, "time_offset": offset}}))
+    at = 1_700_000_000 * SECOND
+    for k in range(4):
+        feed.take(Kind.ODOMETRY, encode_odometry(at + k * SECOND // 10, "map", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
+    for offsets in (None, np.linspace(0, 1e8, 3)):
+        feed.take(Kind.POINTS, encode_cloud(np.ones((3, 3)), at + SECOND // 20, "lidar", offsets))
+    events = feed.decide() + feed.decide(now=1.0)
+    assert len(events) == 2
+    assert all((event.outcome == "integrated") == (abs(offset) < 1.0) for event in events), events

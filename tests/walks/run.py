@@ -1,7 +1,8 @@
 """make walks
 
-Simulated robots with one fault each drive beside a service: is the right fault named in its log, in its health and by
-`roughmap doctor`, each within 10 s? Prints a table; exits 1 unless every cell is a yes.
+Simulated robots with one fault each send to a service: is the right fault named in its log, in its health and by
+`roughmap doctor`, each within 10 s; does the problem end after the fault; do the settings that doctor gives mend it?
+Then a recording is sent in many ways: nothing of it may be lost. Prints a table; exits 1 by what is not so.
 """
 
 import argparse
@@ -13,12 +14,16 @@ import tempfile
 from pathlib import Path
 
 import walks_paths  # noqa: F401 - before what it makes importable
+from feed_ways import QUICK, SLOW, differences, feed_all, record
 from walk_faults import FAULTS
 from walk_paste import pasted, try_pasted
 from walk_report import as_json, findings, table
-from walk_trial import draw, walk_all
+from walk_sender import draw
+from walk_trial import walk_all
 
 LIMIT_S = 10.0
+RECORDING_S = 8.0
+
 LANE_M = 15.0
 """Between two robots' ways."""
 
@@ -40,8 +45,11 @@ def main() -> int:
     if advised := pasted(walks):
         say(f"with doctor's settings: {', '.join(walk.name for walk in advised)}")
         try_pasted(folder / "pasted", advised, LIMIT_S)
-    print(table(walks, LIMIT_S))
     found = findings(walks, LIMIT_S)
+    if asked.only is None:
+        say(f"a recording of {RECORDING_S:g} s in {len(QUICK | SLOW)} ways")
+        found += differences(feed_all(folder / "fed", record(seed, RECORDING_S)))
+    print(table(walks, LIMIT_S))
     if asked.json is not None:
         asked.json.write_text(json.dumps({"seed": seed, "walks": as_json(walks), "found": found}, indent=2))
     for line in found:

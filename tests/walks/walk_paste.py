@@ -12,7 +12,8 @@ import walks_paths  # noqa: F401 - before what it makes importable
 import zenoh
 from net import WAIT_S
 from processes import Service
-from walk_trial import Sender, Walk, connected_to, settings
+from walk_sender import Sender, Walk, settings
+from walk_trial import connected_to
 
 from roughmap_client import RoughMapClient
 from roughmap_schemas import IntegrationEvent, decode_event

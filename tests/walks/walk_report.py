@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import walks_paths  # noqa: F401 - before what it makes importable
-from walk_trial import Walk
+from walk_sender import Walk
 
 WHO = ("log", "health", "doctor", "ended", "pasted")
 
@@ -14,7 +14,7 @@ def cell(walk: Walk, who: str, limit: float) -> str:
     names = walk.fault.names
     asked = {
         "log": names.log or names.count, "health": names.health, "doctor": names.doctor,
-        "ended": names.health and walk.kind.ends, "pasted": "pasted" in walk.told.said,
+        "ended": walk.told.health is not None and walk.kind.ends, "pasted": "pasted" in walk.told.said,
     }  # fmt: skip
     if not asked[who]:
         return "-"

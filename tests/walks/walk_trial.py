@@ -3,43 +3,39 @@
 The robots drive well for a while. Then doctor is started, the faults begin, and last they end again.
 """
 
-import heapq
 import json
 import re
 import subprocess
 import threading
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from random import Random
 from typing import Any
 
 import walks_paths  # noqa: F401 - before what it makes importable
 import zenoh
 from net import WAIT_S, peer_config
 from processes import COMMAND, Service, environment
-from walk_faults import FAULTS, MAP_SETTINGS, Fault, FaultKind, Names
-from walker import SENSORS, Message, Walker
+from walk_fault import Names
+from walk_sender import Sender, Walk, settings
 
 from roughmap_client import RoughMapClient
 from roughmap_schemas import IntegrationEvent, MapStatus, decode_event
-from roughmap_schemas.kinds import Kind
 
 WELL_S = 5.0
 """Seconds of good messages before a fault: until the sensors' clocks are known."""
 
-WELL_CLOUDS = 12
-"""Clouds of each sensor that must be in the map by then."""
+WELL_CLOUDS = 40
+"""Clouds of a robot that must be in the map by then, so that each of its sensors has its ten."""
 
 LISTEN_S = 6.0
 """How long doctor listens."""
 
-SEEN_S = 1.5
-"""Seconds that doctor has listened when a fault begins of which it must see the beginning."""
+SEEN_S, LONGER_S = 5.0, 10.0
+"""How long it has listened when a fault begins of which it must see the beginning, and how long it listens then. It
+says that it listens some seconds early on a busy machine."""
 
 TOGETHER = 8
 """Robots that walk at the same time."""
@@ -48,138 +44,6 @@ POLL_S = 0.2
 
 NEAR_S = 0.5
 """How far a time_offset may be from the right one, with latencies of a tenth of a second on a busy machine."""
-
-
-@dataclass
-class Told:
-    """Who named a fault, in seconds after it began, or for doctor after it could be seen; None: nobody yet."""
-
-    log: float | None = None
-    health: float | None = None
-    doctor: float | None = None
-    ended: float | None = None
-    """When the health was well again, after the fault's end."""
-    pasted: float | None = None
-    """When all was mapped by another service, with the settings that doctor gave."""
-    settings: str = ""
-    """These settings."""
-    wrong: list[str] = field(default_factory=list)
-    """What else was told, and must not be."""
-    said: dict[str, str] = field(default_factory=dict)
-    """The words."""
-
-
-@dataclass
-class Walk:
-    """One robot of a batch. ``on``: whether its fault is; times are wall seconds, 0 while it has not begun."""
-
-    name: str
-    fault: Fault
-    walker: Walker
-    told: Told = field(default_factory=Told)
-    on: bool = False
-    silent: bool = False
-    begun: float = 0.0
-    ended: float = 0.0
-    integrated: Counter[str] = field(default_factory=Counter)
-
-    @property
-    def kind(self) -> FaultKind:
-        return FAULTS[self.name]
-
-    @property
-    def robot(self) -> str:
-        return f"robot {self.name}"
-
-    @property
-    def subject(self) -> str:
-        """Under which a problem must be listed."""
-        names = self.fault.names
-        if not names.of_sensor:
-            return self.robot
-        return f"{self.robot} sensor {self.fault.sensor or SENSORS[0]}"
-
-    def begin(self) -> None:
-        self.begun, self.on, self.silent = time.time(), True, False
-
-    def missing(self) -> list[str]:
-        """Who has not named it."""
-        names, told, walk_ends = self.fault.names, self.told, self.kind.ends
-        who = {
-            "log": (names.log or names.count) and told.log is None,
-            "health": names.health and told.health is None,
-            "doctor": names.doctor and told.doctor is None,
-            "end": names.health and walk_ends and told.ended is None,
-        }
-        return [one for one, lacks in who.items() if lacks]
-
-
-def draw(name: str, seed: int, lane: float = 0.0) -> Walk:
-    """Draw a robot with a fault of this kind."""
-    random = Random(f"{seed} {name}")
-    kind = FAULTS[name]
-    return Walk(name, kind.draw(random), Walker.draw(name, lane, random, timed=kind.timed))
-
-
-class Sender(threading.Thread):
-    """Sends the messages of all robots in real time, each as its fault makes it while that is on."""
-
-    def __init__(self, session: zenoh.Session, walks: Sequence[Walk]) -> None:
-        super().__init__(daemon=True)
-        self._session = session
-        self._walks = walks
-        self._stopped = threading.Event()
-        self._numbers: Counter[tuple[str, Kind]] = Counter()
-        self.late = 0.0
-        """Most seconds that a message was sent too late: this machine's own."""
-
-    def run(self) -> None:
-        born_ns, born = time.time_ns(), time.monotonic()
-        streams = [self._stream(walk, born_ns) for walk in self._walks]
-        for due, walk, message in heapq.merge(*streams, key=lambda sent: sent[0]):
-            left = born + due - time.monotonic()
-            if self._stopped.wait(max(left, 0.0)):
-                return
-            self.late = max(self.late, -left)
-            if walk.silent:
-                continue
-            for one in walk.fault.effect(message) if walk.on else [message]:
-                self._send(walk.name, one)
-
-    def _stream(self, walk: Walk, born_ns: int) -> Iterator[tuple[float, Walk, Message]]:
-        return ((due, walk, message) for due, message in walk.walker.messages(born_ns))
-
-    def _send(self, robot: str, message: Message) -> None:
-        number = self._numbers[robot, message.kind] = self._numbers[robot, message.kind] + 1
-        if message.lost:
-            return
-        self._session.put(
-            f"robots/{robot}/{message.kind.value}", message.payload(), attachment=number.to_bytes(8, "little"),
-            congestion_control=zenoh.CongestionControl.BLOCK,
-        )  # fmt: skip
-
-    def stop(self) -> None:
-        """End it."""
-        self._stopped.set()
-        self.join(WAIT_S)
-
-
-def settings(names: Sequence[str]) -> dict[str, Mapping[str, Any]]:
-    """The service's settings for robots with these faults; TOML keys with a dot are quoted."""
-    quoted = {'"os.lidar"' if frame == "os.lidar" else frame: frame for frame in SENSORS}
-    rear = {"translation": [-0.2, 0.0, 1.0], "rotation": [0.0, 0.0, 1.0, 0.0]}
-    front = {"translation": [0.2, 0.0, 1.0]}
-    errors = {"range_sigma": 0.02, "beam_sigma": 0.0005, "min_range": 0.3}
-    robots = {}
-    for name in names:
-        given = FAULTS[name].settings.get("sensors", {})
-        robots[name] = {"sensors": {key: given[frame] for key, frame in quoted.items() if frame in given}}
-    return {
-        "map": {"cell_size": 0.1, **MAP_SETTINGS},
-        "sensors": {'"os.lidar"': {**errors, **front}, "rear": {**errors, **rear}},
-        "robots": {name: given for name, given in robots.items() if given["sensors"]},
-        "service": {"log_format": "json"},
-    }
 
 
 class Doctor(threading.Thread):
@@ -221,6 +85,9 @@ class Doctor(threading.Thread):
         if self._process.poll() is None:
             self._process.kill()
         self.join(WAIT_S)
+        for pipe in (self._process.stdout, self._process.stderr):
+            assert pipe is not None
+            pipe.close()
 
 
 class Batch:
@@ -246,13 +113,16 @@ class Batch:
             sender.start()
             well = time.monotonic()
             self._wait(lambda: time.monotonic() > well + WELL_S and self._all_well(), WAIT_S, "robots to be mapped")
-            doctor = Doctor(self.service, self.endpoint, LISTEN_S)
+            sees_begin = any(walk.kind.begins == "meanwhile" for walk in self.walks)
+            listens_s = LONGER_S if sees_begin else LISTEN_S
+            doctor = Doctor(self.service, self.endpoint, listens_s)
             stack.callback(doctor.kill)
             self._begin("first", "before")
             self._wait(doctor.listening.is_set, WAIT_S, "doctor to listen")
-            self._wait(lambda: time.time() > doctor.listens + SEEN_S, WAIT_S, "doctor to hear robots")
-            self._begin("meanwhile")
-            self._wait(lambda: bool(doctor.done) and not doctor.is_alive(), LISTEN_S + WAIT_S, "doctor")
+            if sees_begin:
+                self._wait(lambda: time.time() > doctor.listens + SEEN_S, WAIT_S, "doctor to hear robots")
+                self._begin("meanwhile")
+            self._wait(lambda: bool(doctor.done) and not doctor.is_alive(), listens_s + WAIT_S, "doctor")
             self._judge_doctor(doctor)
             with_time = lambda: time.time() > max(walk.begun for walk in self.walks) + limit  # noqa: E731
             named = lambda: not any({"log", "health"} & {*walk.missing()} for walk in self.walks)  # noqa: E731
@@ -271,21 +141,12 @@ class Batch:
                 walk.begin()
 
     def _all_well(self) -> bool:
-        return all(
-            walk.integrated[frame] >= WELL_CLOUDS
-            for walk in self.walks if not walk.silent for frame in SENSORS
-        )  # fmt: skip
+        return all(walk.integrated >= WELL_CLOUDS for walk in self.walks if not walk.silent)
 
     def _event(self, sample: zenoh.Sample) -> None:
         event = decode_event(sample.payload.to_bytes())
         if isinstance(event, IntegrationEvent) and event.outcome == "integrated" and event.robot in self.by_name:
-            self._count(event)
-
-    def _count(self, event: IntegrationEvent) -> None:
-        # An event does not name the frame; both sensors send alike, so half of the clouds are each one's.
-        walk = self.by_name[event.robot]
-        for frame in SENSORS:
-            walk.integrated[frame] += 1
+            self.by_name[event.robot].integrated += 1
 
     def _wait(self, until: Callable[[], bool], seconds: float, what: str) -> None:
         """Look at log and status until something is so."""
@@ -332,7 +193,7 @@ class Batch:
             for subject, text in mine.items():
                 if not self._may_be(walk, subject) and not any(one.startswith(subject) for one in told.wrong):
                     told.wrong.append(f"{subject} in problems: {text}")
-            if walk.ended and told.ended is None:
+            if walk.ended and told.ended is None and told.health is not None:
                 told.said["ended"] = "; ".join(mine.values())
                 if not mine:
                     told.ended = now - walk.ended
@@ -391,11 +252,19 @@ def connected_to(starting: Service) -> Iterator[tuple[Service, str, zenoh.Sessio
         yield service, endpoint, session
 
 
+def batches(walks: Sequence[Walk]) -> list[list[Walk]]:
+    """At most `TOGETHER` each; those whose beginning doctor must see by themselves."""
+    found = []
+    for meanwhile in (True, False):
+        some = [walk for walk in walks if (walk.kind.begins == "meanwhile") == meanwhile]
+        found += [some[first : first + TOGETHER] for first in range(0, len(some), TOGETHER)]
+    return found
+
+
 def walk_all(folder: Path, walks: Sequence[Walk], limit: float, say: Callable[[str], None]) -> None:
     """Let the robots walk, `TOGETHER` at a time, beside one service; wait ``limit`` s for each to be named."""
     with connected_to(Service(folder, **settings([walk.name for walk in walks]))) as (service, endpoint, session):
-        for first in range(0, len(walks), TOGETHER):
-            batch = walks[first : first + TOGETHER]
+        for batch in batches(walks):
             say(", ".join(walk.name for walk in batch))
             Batch(service, endpoint, session, batch).go(limit)
         assert service.stop() == 0, service.err[-3:]

@@ -106,7 +106,8 @@ def build(
     if extent := built.extent():
         xmin, ymin, xmax, ymax = map(metres, extent)
         click.echo(f"tiles from x {xmin} to {xmax} m, y {ymin} to {ymax} m")
-    click.echo(f"{output}: {built.tile_count} tiles, digest {report['digest']}, in {seconds:.1f} s")
+    tiles = f"{built.tile_count} {'tile' if built.tile_count == 1 else 'tiles'}"
+    click.echo(f"{output}: {tiles}, digest {report['digest']}, in {seconds:.1f} s")
 
 
 def _fill(

@@ -15,7 +15,7 @@ from roughmap import RoughMap
 from roughmap.cell import TILE_CELLS
 from roughmap_schemas import IntegrationEvent, Odometry, PoseReason, SensorConfig
 from roughmap_service.inputs.losses import cloud_cause
-from roughmap_service.inputs.remedies import Figures, robot_table, sensor_table
+from roughmap_service.inputs.remedies import Figures, robot_table, sensor_table, time_form_remedy
 from roughmap_service.run.inbox import LoggedCloud
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.robot import Robot
@@ -25,6 +25,9 @@ NOTHING = Figures()
 
 CLOCK_S = 1.0
 """Seconds between a cloud's stamp and the newest pose from which on different clocks are likelier than slow poses."""
+
+SWEEP_S = 0.5
+"""Seconds from a cloud's first point to its last from which on a wrong unit is likelier than late poses."""
 
 LATE_S = 10.0
 """Seconds by which a localisation may be late, at most."""
@@ -99,6 +102,9 @@ def _no_pose(lost: LostCloud) -> Figures:
     ahead = behind + lost.waited
     text = text or f"the newest pose is {ahead:.1f} s behind"
     if ahead <= lost.settings.max_wait + CLOCK_S:
+        if (lasts := (cloud.last_ns - cloud.first_ns) * 1e-9) > SWEEP_S:
+            text = f"{text}; the times of their points span {lasts:.2g} s"
+            return Figures(text, f"check time_field and time_unit in {lost.table}, or raise input.max_wait")
         return Figures(text, "publish its poses sooner or more often, or raise input.max_wait")
     late = f"; raise input.max_wait if its poses come {ahead:.1f} s late" if ahead < LATE_S else ""
     return Figures(text, lost.one_clock(ahead) + late)
@@ -110,9 +116,10 @@ def _slow_odometry(robot: Robot, settings: Settings) -> Figures | None:
     steps = [after - before for before, after in pairwise(stamps)]
     if not steps or not settings.max_pose_gap_ns < min(steps) <= settings.history_ns:
         return None
-    limit = f"input.max_pose_gap = {settings.max_pose_gap_ns * 1e-9:g}"
-    text = f"the robot's poses are {min(steps) * 1e-9:.2g} s apart ({limit})"
-    return Figures(text, "publish poses more often, or raise input.max_pose_gap and input.max_wait", certain=True)
+    limit, enough = settings.max_pose_gap_ns * 1e-9, 1.5 * min(steps) * 1e-9
+    text = f"the robot's poses are {min(steps) * 1e-9:.2g} s apart (input.max_pose_gap = {limit:g})"
+    values = f"max_pose_gap = {enough:.1f} and max_wait = {max(enough, settings.max_wait):.1f} in [input]"
+    return Figures(text, f"publish poses more often, or set {values}", certain=True)
 
 
 def _late(lost: LostCloud) -> Figures:
@@ -267,7 +274,7 @@ FINDERS: dict[tuple[str, str], Callable[[LostCloud], Figures]] = {
     ("cloud", "no_pose"): _no_pose,
     ("cloud", "late"): _late,
     ("cloud", "clock_offset"): _clock_offset,
-    ("cloud", "time_form"): lambda lost: Figures(lost.seen),
+    ("cloud", "time_form"): lambda lost: Figures(lost.seen, time_form_remedy(lost.seen, lost.table)),
     ("cloud", "pose_gap"): _pose_gap,
     ("cloud", "pose_jump"): _pose_jump,
     ("cloud", "too_many_tiles"): _too_many_tiles,
@@ -281,7 +288,7 @@ FINDERS: dict[tuple[str, str], Callable[[LostCloud], Figures]] = {
 def pose_figures(reason: str | None, odometry: Odometry, robot: Robot, why: str = "") -> Figures:
     """Return the figures of an odometry that gave no pose; ``why`` as in `OdometryTaken`."""
     ahead = (odometry.stamp_ns - robot.clock.newest_ns) * 1e-9
-    if reason == PoseReason.POSE_FRAME:
+    if reason == PoseReason.POSE_FRAME and not why:
         known = ", ".join(f'"{frame}"' for frame in list(robot.transforms.rows)[:KNOWN_FRAMES])
         known = f"transforms are known from {known}" if known else "no transform is known"
         text = f'their frame is "{odometry.frame_id}"; {known}'

@@ -29,7 +29,7 @@ from roughmap_service.inputs.streams import Streams
 from roughmap_service.journal.items import Sync
 from roughmap_service.journal.recorder import Recorder
 from roughmap_service.journal.writer import LogWriter
-from roughmap_service.run.inbox import Arrival, Proposal
+from roughmap_service.run.inbox import Arrival, LoggedCloud, Proposal
 from roughmap_service.run.odometry_clock import Verdict
 from roughmap_service.run.run import NoTimes, Run
 from roughmap_service.run.view import View
@@ -123,16 +123,7 @@ class LiveRun:
         self._memory.relieve(self.view.reading)  # before the map is held: it may write to the disk
         begun = time.monotonic()
         event = self._integrate(proposal)
-        seconds, arrival = time.monotonic() - begun, proposal.cloud.arrival
-        rejected = {str(reason): n for reason, n in event.rejected.items()}
-        came = None if arrival.resumed else arrival.at
-        self._counters.cloud(str(event.outcome), event.accepted, rejected, came, seconds)
-        cloud, robot = proposal.cloud, self.run.robots.get(event.robot)
-        lost = LostCloud(
-            cloud, event, robot, self.run.settings, self.run.map, now - arrival.at, self._unclear.get(cloud.sensor, "")
-        )
-        frame_id = cloud.cloud.frame_id
-        self._streams.cloud(event.robot, frame_id, str(event.outcome), event.accepted, rejected, lost.figures)
+        self._tell(proposal.cloud, event, now, time.monotonic() - begun)
         self._publish_event(encode_event(event))
         return event
 
@@ -206,6 +197,16 @@ class LiveRun:
         if event.outcome == CloudReason.OVERLOAD != proposal.outcome:
             logger.error("input %d: not enough memory to place its cloud", event.input)
         return event
+
+    def _tell(self, cloud: LoggedCloud, event: IntegrationEvent, now: float, seconds: float) -> None:
+        """Count a decided cloud whose integration took ``seconds``, and tell if its sensor's clouds come to nothing."""
+        arrival, rejected = cloud.arrival, {str(reason): n for reason, n in event.rejected.items()}
+        came = None if arrival.resumed else arrival.at
+        self._counters.cloud(str(event.outcome), event.accepted, rejected, came, seconds)
+        run, unclear = self.run, self._unclear.get(cloud.sensor, "")
+        lost = LostCloud(cloud, event, run.robots.get(event.robot), run.settings, run.map, now - arrival.at, unclear)
+        frame_id = cloud.cloud.frame_id
+        self._streams.cloud(event.robot, frame_id, str(event.outcome), event.accepted, rejected, lost.figures)
 
     def _log(self, event: Event) -> None:
         self.run.record += 1

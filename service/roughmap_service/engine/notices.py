@@ -1,6 +1,7 @@
 """What an operator should see of the messages that came in: counters and log lines."""
 
 import logging
+import math
 from collections.abc import Mapping
 from functools import partial
 
@@ -8,9 +9,10 @@ from roughmap_schemas import Config, Odometry, PoseReason, SensorTimeEvent, Tran
 from roughmap_service.engine.figures import pose_figures
 from roughmap_service.host.counters import Counters
 from roughmap_service.host.log_lines import note
-from roughmap_service.inputs.remedies import sensor_table
+from roughmap_service.inputs.remedies import sensor_table, time_form_remedy
 from roughmap_service.inputs.streams import Streams
 from roughmap_service.run.decoding import Content
+from roughmap_service.run.odometry_clock import Verdict
 from roughmap_service.run.robot import OdometryTaken, Robot
 from roughmap_service.run.run import NoTimes, Taken
 
@@ -26,7 +28,7 @@ ORIGINS = {
 class Notices:
     """Counts accepted and rejected poses, and logs what is unusual.
 
-    ``states`` are the run's robots; ``robots`` are those that were heard before.
+    ``states`` are the run's robots; ``robots`` are the names of those that were heard before.
     """
 
     def __init__(self, counters: Counters, streams: Streams, states: Mapping[str, Robot], robots: set[str]) -> None:
@@ -35,7 +37,9 @@ class Notices:
         self._streams = streams
         self._robots = robots
         self._unestimated: set[str] = set()
-        self._sensors: dict[tuple[str, str], tuple[float, float]] = {}
+        self._mixed: set[str] = set()
+        self._clocks: dict[tuple[str, str], tuple[float, float]] = {}
+        self._unclear: set[tuple[str, str]] = set()
 
     def message(self, robot: str, content: Content, taken: Taken) -> None:
         """Notice what a logged message led to."""
@@ -64,9 +68,9 @@ class Notices:
         # Beyond the limit its clouds are lost, which is told with the same figure.
         shown = 0.0 if sensor.differs else round(sensor.offset_ns * 1e-9, 1)
         late = round(sensor.late_ns * 1e-9, 1)
-        if self._sensors.get((robot, frame_id), (0.0, 0.0)) == (shown, late):
+        if self._clocks.get((robot, frame_id), (0.0, 0.0)) == (shown, late):
             return
-        self._sensors[robot, frame_id] = shown, late
+        self._clocks[robot, frame_id] = shown, late
         subject = f"robot {robot} sensor {frame_id}"
         text = None
         if shown:
@@ -90,35 +94,54 @@ class Notices:
                 else f"{sensor}: points have no times of their own; all lie at the cloud's stamp"
             )
             note(logger, logging.INFO, "sensor_time", text, robot=found.robot, frame_id=found.frame_id)
-        else:
-            text = (
-                f"{sensor}: clouds rejected, since the meaning of their points' times is unclear: {found.seen}. Set "
-                f"time_field, time_unit and time_origin in {sensor_table(config, found.robot, found.frame_id)}"
-            )
+            self._unclear.discard((found.robot, found.frame_id))
+        elif (found.robot, found.frame_id) not in self._unclear:  # once: that clouds are lost is told by the streams
+            self._unclear.add((found.robot, found.frame_id))
+            remedy = time_form_remedy(found.seen, sensor_table(config, found.robot, found.frame_id))
+            text = f"{sensor}: what the times of its points mean is unclear: {found.seen}; {remedy}"
             note(logger, logging.WARNING, "time_form", text, robot=found.robot, frame_id=found.frame_id)
+
+    def _two_sources(self, robot: str) -> None:
+        """Tell that a robot's odometry comes from two sources, and that it no longer does."""
+        mixed = self._states[robot].clock.two_sources
+        if mixed == (robot in self._mixed):
+            return
+        text = None
+        if mixed:
+            self._mixed.add(robot)
+            text = (
+                f"robot {robot}: its odometry comes from two sources out of step; poses are sorted by stamp, which "
+                "costs clouds and accuracy; let only one of them send"
+            )
+        else:
+            self._mixed.remove(robot)
+        self._streams.remark(f"robot {robot}", "two_sources", text)
 
     def _odometry(self, robot: str, odometry: Odometry, taken: OdometryTaken) -> None:
         for reason in taken.settled:
             self._counters.pose(reason)
             figures = partial(pose_figures, reason, odometry, self._states[robot], taken.why)
             self._streams.pose(robot, reason, figures)
-        if taken.verdict.begins_anew:
-            text = f"robot {robot}: its clock went back; its poses begin anew, and clouds from before are rejected"
-            note(logger, logging.WARNING, "clock_reset", text, robot=robot)
-        if taken.two_sources:
+        if taken.ended_from:  # not after a reset, or wild stamps at first: nothing is lost then
             text = (
-                f"robot {robot}: its odometry comes from two sources out of step; poses are now sorted by stamp. "
-                "Let only one of them send"
+                f"robot {robot}: its stamps went back: its clock was set, a recording began again, or two programs "
+                "publish its odometry; its poses begin anew, and clouds from before are rejected"
             )
-            note(logger, logging.WARNING, "two_sources", text, robot=robot)
+            note(logger, logging.WARNING, "clock_reset", text, robot=robot)
+        self._two_sources(robot)
+        if taken.verdict is Verdict.FORWARD and taken.leapt_s > 0.0:
+            text = f"robot {robot}: its clock leapt {taken.leapt_s:.1f} s forward, or it sent no pose for as long"
+            note(logger, logging.WARNING, "clock_forward", text, robot=robot, seconds=taken.leapt_s)
         if taken.leap is not None:
             leap = taken.leap
             self._counters.jump(robot)
             text = (
                 f"robot {robot}: its pose leapt {leap.metres:.2f} m, {leap.radians:.2f} rad in {leap.seconds:.3f} s; "
-                "clouds over the leap are rejected, and ground that is already mapped does not move"
+                "clouds over the leap are rejected, and ground that is already mapped does not move; publish a "
+                "localisation's corrections as a transform, or raise input.max_leap if the robot moves like that"
             )
-            note(logger, logging.WARNING, "leap", text, robot=robot, metres=leap.metres, seconds=leap.seconds)
+            metres = leap.metres if math.isfinite(leap.metres) else None  # JSON has no infinity
+            note(logger, logging.WARNING, "leap", text, robot=robot, metres=metres, seconds=leap.seconds)
         if taken.unestimated and robot not in self._unestimated:
             self._unestimated.add(robot)
             text = f"robot {robot}: its odometry does not estimate all of its covariance; input.pose_sigma stands in"

@@ -59,10 +59,10 @@ def refuse(
 ) -> None:
     """Count a message that is not logged, and log a line about it: a few a minute for each robot and reason."""
     shown = counters.refuse(fault.code, robot)
-    what = kind.value if kind is not Kind.POINTS else frame_of(payload) or kind.value
-    streams.refused(robot, what, fault.code, fault.message)
+    frame = frame_of(payload) if kind is Kind.POINTS else ""
+    streams.refused(robot, frame or kind.value, fault.code, fault.message)
     if fault.code != Refusal.LOG_UNAVAILABLE:  # the log's writer has its own line for that
-        source = "" if robot == OTHERS else f"robot {robot}: "
+        source = "" if robot == OTHERS else f"robot {robot}{f' sensor {frame}' if frame else ''}: "
         text = f"{source}message refused, {fault.code}: {fault.message}"[:MAX_SHOWN]
         note(logger, logging.WARNING, "refused", text, robot=shown, reason=str(fault.code))
 

@@ -10,6 +10,7 @@ from roughmap_schemas import Config, Keys
 from roughmap_schemas.reasons import MEANING, PointReason
 from roughmap_service.host.counters import OTHERS
 from roughmap_service.inputs.losses import Cause, Outcome
+from roughmap_service.run.point_times import SHARES
 
 MAX_TEXT, MAX_FIGURES = 900, 300
 """Characters of a sentence and of its figures: they quote what comes from outside, and a status may have 32."""
@@ -63,17 +64,27 @@ def sensor_table(config: Config, robot: str, frame_id: str) -> str:
     return f"[sensors.{toml_key(frame_id)}]"
 
 
+def time_form_remedy(seen: str, table: str) -> str:
+    """Return what to do about times of unclear meaning; ``seen`` is what was seen of them, ``table`` the sensor's."""
+    if SHARES in seen:
+        return f'let its driver send times in s, ms, us or ns; time_field = "none" in {table} maps without them'
+    return f'set time_field, time_unit and time_origin in {table}; time_field = "none" ignores the times'
+
+
 CLOUD_REMEDIES: Final = {
     "pose_gap": "publish poses more often, or raise input.max_pose_gap",
     "pose_jump": (
-        "look at what publishes {odometry}: two senders, a localisation that jumps, or stamps that come in bursts; "
+        "look at what publishes {odometry}: two programs, a localisation that jumps, or stamps that come in bursts; "
         "raise input.max_leap if the robot does move like that"
     ),
     "no_pose": "publish its odometry on {odometry}, on the clock of {sensor}; raise input.max_wait if it comes later",
     "late": "check that {sensor} and the odometry use one clock; raise input.pose_history if its clouds take that long",
     "too_many_tiles": "set max_range in {table}, raise map.cell_size, or raise map.max_new_tiles or map.max_tiles",
     "empty": "look at what its driver leaves out",
-    "clock_reset": "let the robot's clock be steered (chrony, PTP) instead of being set while it runs",
+    "clock_reset": (
+        "if two programs publish on {odometry}, stop one; else let the robot's clock be steered (chrony, PTP), not set "
+        "while it runs"
+    ),
     "clock_offset": "check that {sensor} and the odometry use one clock, or set time_offset in {table}",
     "time_form": 'set time_field, time_unit and time_origin in {table}; time_field = "none" ignores the times',
 }
@@ -100,7 +111,7 @@ POSE_REMEDIES: Final = {
     "out_of_order": "publish its poses in the order of their stamps; if two programs publish on {odometry}, stop one",
     "frozen": "stamp each pose with the time at which the robot was there",
     "pose_frame": 'publish a transform from its frame to "{map_frame}" on {transform}, or poses in "{map_frame}"',
-    "bad_covariance": 'correct the covariance, or set pose_covariance = "configured" in {robot_table}',
+    "bad_covariance": "correct the covariance, or send none: input.pose_sigma stands in",
 }
 
 REFUSED_REMEDIES: Final = {
@@ -110,7 +121,7 @@ REFUSED_REMEDIES: Final = {
     "too_large": "send smaller messages, or raise input.max_message or input.max_points",
     "unknown_sensor": "add {table} with its translation, rotation and range_sigma",
     "unknown_robot": "add {quoted_robot} to input.robots",
-    "unset_stamp": "correct the program that sends it",
+    "unset_stamp": "",  # the refusal says it
     "duplicate": "nothing is lost; to map a recording again, reset the map (control/reset) before it is sent again",
 }
 """The reasons of refusals but those that are problems of the service: `busy`, `log_unavailable`, `shutting_down`."""
@@ -131,7 +142,7 @@ CAUSES: Final = {
         "late": "they are older than the poses kept (input.pose_history = {pose_history} s)",
         "too_many_tiles": "they need more tiles than map.max_new_tiles or map.max_tiles allow",
         "empty": "they are empty",
-        "clock_reset": "the robot's clock was set back while they waited for poses",
+        "clock_reset": "the stamps of the robot's poses went back while they waited",
         "clock_offset": "the clock of {sensor} differs from the robot's",
         "time_form": "what the times of its points mean is unclear",
     },
@@ -168,7 +179,7 @@ def sentence(
     parts = [shortened(figures.text, MAX_FIGURES)] if figures.text else []
     if cause.kind in CAUSES:
         parts = [CAUSES[cause.kind][cause.reason].format_map(words), *parts]
-    return shortened(f"{text}: {'; '.join([*parts, remedy])}")
+    return shortened(f"{text}: {'; '.join([*parts, remedy] if remedy else parts)}")
 
 
 def shortened(text: str, most: int = MAX_TEXT) -> str:

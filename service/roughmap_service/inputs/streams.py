@@ -54,7 +54,7 @@ NO_POINTS: Final[Mapping[str, int]] = {}
 
 RESTORED: Final = {
     POSES: "its poses are taken again", CLOUDS: "its clouds are mapped again", TRANSFORMS: "its transforms are taken",
-    ANY_CLOUDS: "its clouds can be read again", MESSAGES: "its messages are taken again",
+    ANY_CLOUDS: "its clouds are taken again", MESSAGES: "its messages are taken again",
 }  # fmt: skip
 
 
@@ -151,13 +151,13 @@ class Streams:
             note(logger, logging.WARNING, "remark", sentence, robot=key.robot, reason=name, subject=subject)
 
     def problems(self) -> dict[str, str]:
-        """Return the sentence on each subject that has a problem, at most `MAX_PROBLEMS`; call it now and then: it also
-        ends the problems of subjects that have gone silent."""
+        """Return the sentence on each subject that has a problem, at most `MAX_PROBLEMS`, those of which every message
+        was refused last; call it now and then: it also ends the problems of subjects that have gone silent."""
         now = self._clock()
         with self._lock:
             silent = self._end_silent(now)
             found: dict[str, str] = {}
-            for subject, watched in self._watched.items():
+            for subject, watched in sorted(self._watched.items(), key=lambda item: item[1].stranger):
                 told = [stream.told for stream in watched.streams.values() if stream.told]
                 if watched.remarks and now - watched.heard <= SILENT:
                     told += watched.remarks.values()
@@ -223,7 +223,7 @@ class Streams:
         if poses is None or not poses.losses.last:
             return Figures("no odometry has come from the robot")
         if poses.told:
-            return Figures("the robot has none", f"see what is told of robot {robot}")
+            return Figures("none of the robot's poses is taken", f"see the line of robot {robot}")
         since = now - poses.losses.last[-1].at
         return Figures(f"its last odometry came {since:.0f} s ago") if since > STOPPED else None
 

@@ -70,9 +70,14 @@ def _replace(c: list[list[float]], i: int, variance: float) -> None:
 
 
 def _scale(c: list[list[float]], i: int, variance: float) -> None:
-    """Scale row and column i so that its variance becomes this one."""
+    """Scale row and column i so that its variance becomes this one.
+
+    A variance so small that the factor overflows is rounding: its correlations count as 0.
+    """
     if c[i][i] > 0.0:
         factor = math.sqrt(variance / c[i][i])
+        if math.isinf(factor):
+            factor = 0.0
         for j in range(6):
             c[i][j] = c[j][i] = c[i][j] * factor
     c[i][i] = variance

@@ -37,7 +37,7 @@ def fold(run: Run, items: Iterable[LogItem], *, taken: int = 0, low_water: int =
                 if item.kind is Kind.POINTS and item.number >= low_water:
                     cloud = _decode(item, run.settings)
                     assert isinstance(cloud, Cloud)  # noqa: S101 - its kind says so
-                    run.keep(item.number, item.robot, cloud)
+                    run.keep_again(item.number, item.robot, cloud)
                 continue
             content = _decode(item, run.settings)
             run.input, run.record = item.number - 1, item.record - 1

@@ -10,6 +10,7 @@ from roughmap_service.run.placing import span
 from roughmap_service.run.poses import Pose, leaps, too_far_apart
 from roughmap_service.run.robot import Robot
 from roughmap_service.run.sensor_clock import Doubt
+from roughmap_service.run.sensor_times import Reading
 from roughmap_service.run.settings import Settings
 
 INTEGRATED = "integrated"
@@ -33,10 +34,7 @@ class Arrival:
 
 @dataclass(frozen=True, slots=True)
 class LoggedCloud:
-    """A logged cloud without a decision: its input number, the time span of its points in ns, its size in bytes.
-
-    Until it is ``timed``, the form of its points' times is not known, and its span is its stamp.
-    """
+    """A logged cloud without a decision: its input number, the time span of its points in ns, its size in bytes."""
 
     input: int
     robot: str
@@ -45,7 +43,13 @@ class LoggedCloud:
     last_ns: int
     size: int
     arrival: Arrival
-    timed: bool
+    reading: Reading | None
+    """How its points' times were read; None as long as their form is not known, when its span is its stamp."""
+
+    @property
+    def timed(self) -> bool:
+        """Whether its points' times are known."""
+        return self.reading is not None
 
     @property
     def sensor(self) -> tuple[str, str]:
@@ -53,17 +57,17 @@ class LoggedCloud:
         return self.robot, self.cloud.frame_id
 
     @classmethod
-    def of(cls, number: int, robot: str, cloud: Cloud, timed: Cloud | None, arrival: Arrival) -> Self:
-        """Return the cloud of a message; ``timed``: the same with its points' times, if their form is known."""
+    def of(cls, number: int, robot: str, cloud: Cloud, reading: Reading | None, arrival: Arrival) -> Self:
+        """Return the cloud of a message, its points' times read if it is known how."""
         size = cloud.held_bytes + (TIME_BYTES * len(cloud.points) if cloud.time_fields else 0)
-        if timed is None:
-            return cls(number, robot, cloud, cloud.stamp_ns, cloud.stamp_ns, size, arrival, timed=False)
-        return cls(number, robot, timed, *span(timed), size, arrival, timed=True)
+        untimed = cls(number, robot, cloud, cloud.stamp_ns, cloud.stamp_ns, size, arrival, None)
+        return untimed if reading is None else untimed.with_times(reading)
 
-    def with_times(self, timed: Cloud) -> Self:
+    def with_times(self, reading: Reading) -> Self:
         """Return the cloud with its points' times."""
+        timed = reading.apply(self.cloud)
         first_ns, last_ns = span(timed)
-        return replace(self, cloud=timed, first_ns=first_ns, last_ns=last_ns, timed=True)
+        return replace(self, cloud=timed, first_ns=first_ns, last_ns=last_ns, reading=reading)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,9 @@ from roughmap_service.run.poses import Pose
 MOTION_NS = 100_000_000
 """Time over which a robot's velocity is taken: over less, the noise of its poses would be most of it."""
 
+LOOKED_AT = 400
+"""Poses that are looked at for it: where each one leaps, as with two sources, there would be no end."""
+
 MAX_TURN_LEAP = 0.3
 """Radians by which a turn may differ from the robot's motion, beside what `MAX_TURN_ACCELERATION` explains."""
 
@@ -69,11 +72,11 @@ def find_leap(
 
 
 def motion_before(poses: Sequence[Pose], at: int) -> Motion | None:
-    """Return the motion over the last 0.1 s or more without a leap before a pose; None if there is none."""
-    end = at - 1
-    while end > 0:
+    """Return the motion over 0.1 s or more without a leap before a pose; None if the last 400 poses have none."""
+    end, first = at - 1, max(at - 1 - LOOKED_AT, 0)
+    while end > first:
         start = end
-        while start > 0 and not poses[start].leapt and poses[end].stamp_ns - poses[start].stamp_ns < MOTION_NS:
+        while start > first and not poses[start].leapt and poses[end].stamp_ns - poses[start].stamp_ns < MOTION_NS:
             start -= 1
         if (span := poses[end].stamp_ns - poses[start].stamp_ns) >= MOTION_NS:
             seconds = span * 1e-9

@@ -30,14 +30,20 @@ BREAKS = 3
 """Breaks within the pose history after which the robot has two sources."""
 
 GAPS = 8
+"""Last steps between stamps that are kept."""
+
 NEXT = 3
-"""Last steps between stamps, and how many times the longest but one of them the next may be; a stamp further ahead is
-held. The longest may be one that was lost."""
+"""How many times the longest but one of them the next step may be; a stamp further ahead is held. The longest may have
+lost messages within it."""
 
 BACK_FENCE_NS = 1_000_000_000
 BREAK_FENCE_NS = 500_000_000
 """How far the poses must have gone on after a clock went back, or a break, before a sensor that never fell back counts
 as having the new time. Until then its clouds may have been made before it."""
+
+
+MIXED_STEP, MIXED_MOST = 3, 30
+"""A low stamp adds three, a message taken without one takes one off; from 30 on, the robot has two sources until 0."""
 
 
 class Verdict(Enum):
@@ -78,11 +84,12 @@ class OdometryClock:
         held: those since the last one taken that are not believed yet.
         doubted: input number of the first message since the last one taken that was held; 0 if there is none.
         repeats: messages in a row with the newest stamp again; ``repeated``: input number of the first of them.
-        taken: number of messages taken since the poses began anew.
+        taken: number of messages taken since the poses began anew; ``last_input``: input number of the last one.
         begun: input number of the first message of the present clock.
         fence_ns: stamp that the poses must reach before sensors that never fell back are of the present clock.
         gaps: the last steps between stamps taken, in ns.
         breaks: stamps of the last breaks.
+        mixed: how much the last messages look like those of two sources, 0 to `MIXED_MOST`.
         two_sources: whether the robot's odometry mixes two sources.
         anew_from: after a reset of the map, the next input number: whatever stamp comes next is believed. Else 0.
     """
@@ -93,10 +100,12 @@ class OdometryClock:
     repeats: int = 0
     repeated: int = 0
     taken: int = 0
+    last_input: int = 0
     begun: int = 0
     fence_ns: int = 0
     gaps: deque[int] = field(default_factory=lambda: deque(maxlen=GAPS))
     breaks: deque[int] = field(default_factory=lambda: deque(maxlen=BREAKS))
+    mixed: int = 0
     two_sources: bool = False
     anew_from: int = 0
 
@@ -175,12 +184,13 @@ class OdometryClock:
         self.doubted = 0
         return held
 
-    def take(self, stamp_ns: int) -> None:
+    def take(self, stamp_ns: int, number: int) -> None:
         """Count a message as taken."""
         if 0 <= self.newest_ns < stamp_ns:
             self.gaps.append(stamp_ns - self.newest_ns)
         self.newest_ns = max(self.newest_ns, stamp_ns)
         self.taken += 1
+        self.last_input = max(self.last_input, number)
         self.anew_from = 0
         self.repeats = self.repeated = 0
 
@@ -189,14 +199,21 @@ class OdometryClock:
         self.newest_ns, self.taken = -1, 0
         self.begun, self.fence_ns = number, fence_ns
 
-    def count_break(self, stamp_ns: int, history_ns: int) -> bool:
-        """Count a break. Return whether it shows that the robot has two sources."""
+    def count_break(self, stamp_ns: int, history_ns: int) -> None:
+        """Count a break. Several show that the robot has two sources."""
         self.breaks.append(stamp_ns)
         row = self.breaks
         if not self.two_sources and len(row) == BREAKS and abs(row[-1] - row[0]) <= history_ns:
-            self.two_sources = True
-            return True
-        return False
+            self.two_sources, self.mixed = True, MIXED_MOST
+
+    def count_mixed(self, *, low: bool) -> None:
+        """Count a message taken, and whether a ``low`` one came before it. Enough of them show two sources.
+
+        One of them may be so late that its stamps never go on from the other's. Where nothing low comes for a while,
+        there is one source.
+        """
+        self.mixed = min(self.mixed + MIXED_STEP, MIXED_MOST) if low else max(self.mixed - 1, 0)
+        self.two_sources = self.mixed == MIXED_MOST or (self.two_sources and self.mixed > 0)
 
     def to_state(self) -> dict[str, Any]:
         """Return everything as JSON values."""
@@ -209,6 +226,8 @@ class OdometryClock:
             "repeats": self.repeats,
             "repeated": self.repeated,
             "taken": self.taken,
+            "last_input": self.last_input,
+            "mixed": self.mixed,
             "begun": self.begun,
             "fence_ns": self.fence_ns,
             "gaps": list(self.gaps),

@@ -40,7 +40,7 @@ def place_cloud(
     if sensor is None:  # the cloud waited over a restart, and the new configuration lacks its sensor
         return Prepared(0, {PointReason.NO_POSE: len(cloud.points)} if len(cloud.points) else {})
     points, offsets = cloud.points, cloud.offsets_ns
-    repeated = repeated_returns(points) if settings.rules >= 2 else None
+    repeated = repeated_returns(points) if settings.rules > 1 else None
     if repeated is not None:
         points = points[~repeated]
         offsets = None if offsets is None else offsets[~repeated]

@@ -58,6 +58,9 @@ AGREED_S: Final = 0.001
 FIRING: Final = 512
 """More points than a scanner measures at the same moment."""
 
+SHARES: Final = "looks like shares of a sweep, not times"
+"""What is said of values from 0 to 1, which no unit makes times of."""
+
 LARGEST: Final = 1e20
 """No time is larger, in any unit."""
 
@@ -119,7 +122,7 @@ def find_form(
     apart = "" if period is None else f", clouds {period:.3g} s apart"
     fit = "fits " + (" or ".join(f"{f.form.field} in {f.form.unit} ({f.form.origin})" for f in fits) or "no form")
     if not fits and all(column.shares for column in columns):
-        fit = "looks like shares of a sweep, not times"
+        fit = SHARES
     return Ambiguous(f"{'; '.join(column.text for column in columns)}{apart}: {fit}")
 
 

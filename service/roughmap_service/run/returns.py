@@ -10,7 +10,7 @@ from roughmap_schemas.point_times import sample
 REPEATED: Final = 256
 """Points of a cloud with the same coordinates that are too many for returns."""
 
-SAMPLED: Final = 4096
+SAMPLED: Final = 2048
 SHARE: Final = 32
 """A value is looked for among `SAMPLED` points, or one in `SHARE` if that is more."""
 

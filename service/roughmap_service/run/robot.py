@@ -3,21 +3,21 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from roughmap_schemas import Odometry, PoseReason, Transform
 from roughmap_schemas.geometry import rotation_matrix
-from roughmap_service.run.covariances import BadCovariance, settle
+from roughmap_service.run.covariances import BadCovariance, Settled, settle
 from roughmap_service.run.leaps import Leap, find_leap
 from roughmap_service.run.odometry_clock import BACK_FENCE_NS, BELIEVED, BREAK_FENCE_NS, Held, OdometryClock, Verdict
-from roughmap_service.run.pose_algebra import Floats, multiply, quaternion, rotate, triple, turn_covariance
+from roughmap_service.run.pose_algebra import multiply, quaternion, rotate, triple, turn_covariance
 from roughmap_service.run.poses import Pose, PoseBuffer
 from roughmap_service.run.rules_1 import StampOrder
 from roughmap_service.run.sensor_clock import SensorClock
 from roughmap_service.run.settings import Settings
-from roughmap_service.run.transforms import Transforms
+from roughmap_service.run.transforms import StampedTransform, Transforms
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +31,8 @@ class OdometryTaken:
         ended_from: clouds from this input number on may have been made before the robot's clock went back; 0: none.
         leap: the leap that the pose is.
         unestimated: whether the message had no estimate of some of its covariance.
-        two_sources: whether it showed that the robot has two sources of odometry.
-        why: what is wrong with its covariance.
+        leapt_s: how far the clock leapt forward, in s.
+        why: what is wrong with its position or covariance, if that takes words.
     """
 
     settled: Sequence[PoseReason | None]
@@ -40,8 +40,16 @@ class OdometryTaken:
     ended_from: int = 0
     leap: Leap | None = None
     unestimated: bool = False
-    two_sources: bool = False
+    leapt_s: float = 0.0
     why: str = ""
+
+
+class _Read(NamedTuple):
+    """What an odometry says: a pose, or the reason why it gives none, and ``why`` as in `OdometryTaken`."""
+
+    pose: Pose | PoseReason
+    why: str = ""
+    unestimated: bool = False
 
 
 @dataclass
@@ -71,7 +79,7 @@ class Robot:
         return self.clock.judge(stamp_ns, self.settings.max_pose_gap_ns, self.settings.history_ns)
 
     def take_odometry(self, odometry: Odometry, number: int, arrival_ns: int) -> OdometryTaken:
-        """Take the odometry with this input number. ``arrival_ns`` as in the log."""
+        """Take the odometry with this input number; ``arrival_ns`` is its log time."""
         if self.settings.rules == 1:
             return self._take_by_stamp(odometry, number)
         verdict = self.judge(odometry.stamp_ns)
@@ -81,13 +89,13 @@ class Robot:
         # After a clock went back, transforms' stamps say nothing: the last one holds.
         back = odometry.stamp_ns <= self.clock.newest_ns and self.clock.taken >= BELIEVED
         last = back and not self.clock.two_sources and not self.clock.anew_from
-        pose, why, unestimated = self._pose(odometry, number, last=last)
-        one = Held(odometry.stamp_ns, number, pose)
+        read = self._read(odometry, number, last=last)
+        one = Held(odometry.stamp_ns, number, read.pose)
         if verdict is Verdict.HOLD:
             given_up = self.clock.hold(one)
             settled = [] if given_up is None else [self._given_up(given_up)]
-            return OdometryTaken(settled, verdict, unestimated=unestimated, why=why)
-        return self._believe(verdict, one, arrival_ns, unestimated=unestimated, why=why)
+            return OdometryTaken(settled, verdict, unestimated=read.unestimated, why=read.why)
+        return replace(self._believe(verdict, one, arrival_ns), unestimated=read.unestimated, why=read.why)
 
     def add_transform(self, transform: Transform, number: int) -> tuple[PoseReason | None, bool]:
         """Add a transform. Return `pose_frame` if its parent is not the map's frame, and whether it jumped."""
@@ -96,15 +104,17 @@ class Robot:
         s = self.settings
         return None, self.transforms.add(transform, number, s.jump_m, s.jump_rad, s.max_transforms)
 
-    def _believe(self, verdict: Verdict, one: Held, arrival_ns: int, *, unestimated: bool, why: str) -> OdometryTaken:
+    def _believe(self, verdict: Verdict, one: Held, arrival_ns: int) -> OdometryTaken:
         """Take a message whose stamp is believed, and with it those held before that belong to it."""
         clock, newest = self.clock, self.clock.newest_ns
         held = clock.release()
         together: list[Held] = []
         settled: list[PoseReason | None] = []
-        ended_from, two_sources = 0, False
+        ended_from, leapt_ns = 0, 0
         if verdict in (Verdict.FORWARD, Verdict.BACK):
             together = clock.row_of(one.stamp_ns, held, self.settings.max_pose_gap_ns, self.settings.history_ns)
+            step_ns = (together[0] if together else one).stamp_ns - newest
+            leapt_ns = step_ns if step_ns > self.settings.max_pose_gap_ns else 0
         elif clock.two_sources:
             together = [h for h in held if h.stamp_ns <= newest]
         settled += [self._given_up(h) for h in held if h not in together]
@@ -116,13 +126,15 @@ class Robot:
             self.buffer.clear()
             clock.begin(clock.begun, 0)
         elif verdict is Verdict.BACK:
-            ended_from = together[0].input
+            ended_from = clock.last_input + 1
             self._begin_anew(ended_from, together[0].stamp_ns + BACK_FENCE_NS)
             self.transforms.keep_last()
         elif verdict is Verdict.BREAK:
-            ended_from = min(h.input for h in held if h.stamp_ns <= newest)
-            two_sources = clock.count_break(one.stamp_ns, self.settings.history_ns)
+            ended_from = clock.last_input + 1
+            clock.count_break(one.stamp_ns, self.settings.history_ns)
             self._begin_anew(ended_from, one.stamp_ns + BREAK_FENCE_NS)
+        elif verdict is Verdict.TAKE:
+            clock.count_mixed(low=any(h.stamp_ns <= newest for h in held))
         leap: Leap | None = None
         for each in sorted([*together, one], key=lambda h: h.stamp_ns):
             why_not, leapt = self._insert(each)
@@ -131,7 +143,7 @@ class Robot:
             for sensor in self.sensors.values():
                 sensor.odometry(each.stamp_ns, arrival_ns)
         self.buffer.trim()
-        return OdometryTaken(settled, verdict, ended_from, leap, unestimated, two_sources, why)
+        return OdometryTaken(settled, verdict, ended_from, leap, leapt_s=leapt_ns * 1e-9)
 
     def _begin_anew(self, number: int, fence_ns: int) -> None:
         self.buffer.clear()
@@ -144,7 +156,7 @@ class Robot:
 
     def _insert(self, one: Held) -> tuple[PoseReason | None, Leap | None]:
         """Count a message as taken, and insert its pose. Return why there is none, and the leap that it is."""
-        self.clock.take(one.stamp_ns)
+        self.clock.take(one.stamp_ns, one.input)
         if isinstance(one.pose, PoseReason):
             return one.pose, None
         if one.stamp_ns < self.buffer.horizon_ns:
@@ -170,55 +182,54 @@ class Robot:
         return PoseReason.STALE if held.stamp_ns < self.buffer.horizon_ns else PoseReason.OUT_OF_ORDER
 
     def _take_by_stamp(self, odometry: Odometry, number: int) -> OdometryTaken:
-        pose, _, _ = self._pose(odometry, number)
+        pose = self._read(odometry, number).pose
         if isinstance(pose, PoseReason):
             return OdometryTaken([pose])
         reason = self.order.add(self.buffer, pose)
         self.clock.newest_ns = self.buffer.poses[-1].stamp_ns
         return OdometryTaken([reason])
 
-    def _pose(self, odometry: Odometry, number: int, *, last: bool = False) -> tuple[Pose | PoseReason, str, bool]:
-        """Return the pose in the map frame or why there is none, what is wrong, and whether some was not estimated.
+    def _read(self, odometry: Odometry, number: int, *, last: bool = False) -> _Read:
+        """Return the pose in the map frame, or why there is none; ``last``: by the transform that came last."""
+        position, rotation, transform = triple(odometry.position), quaternion(odometry.rotation), None
+        if odometry.frame_id != self.settings.frame_id:
+            transform = self._transform(odometry, last=last)
+            if transform is None:
+                return _Read(PoseReason.POSE_FRAME)
+            turn = rotation_matrix(transform.rotation)
+            moved, t = rotate(turn, position), transform.translation
+            position = t[0] + moved[0], t[1] + moved[1], t[2] + moved[2]
+            if not all(map(math.isfinite, position)):  # the sum of finite numbers may overflow
+                return _Read(PoseReason.POSE_FRAME, "in the map's frame, their positions overflow")
+            rotation = multiply(transform.rotation, rotation)
+        try:
+            settled = self._covariance(odometry)
+            covariance = settled.covariance
+            if transform is not None and covariance is not None:
+                covariance = turn_covariance(turn, covariance)
+                if not np.isfinite(covariance).all():  # the largest numbers may
+                    raise BadCovariance("it overflows in map axes")
+        except BadCovariance as error:
+            return _Read(PoseReason.BAD_COVARIANCE, str(error))
+        used = 0 if transform is None else transform.input
+        pose = Pose(odometry.stamp_ns, position, rotation, covariance, number, used)
+        return _Read(pose, unestimated=settled.replaced)
 
-        ``last``: by the transform that came last, whatever its stamp.
-        """
-        s = self.settings
-        covariance, why, unestimated = odometry.covariance, "", False
-        fault = odometry.covariance_fault
-        if s.rules == 1:
-            fault = fault or (covariance is not None and bool((covariance.diagonal() < 0.0).any()))
-        elif not fault:
-            try:
-                settled = settle(covariance, s.pose_sigma, s.pose_covariance_of(self.name))
-                covariance, unestimated = settled.covariance, settled.replaced
-            except BadCovariance as error:
-                fault, why = True, str(error)
-        position, rotation = triple(odometry.position), quaternion(odometry.rotation)
-        if odometry.frame_id == s.frame_id:
-            if fault:
-                return PoseReason.BAD_COVARIANCE, why, False
-            return Pose(odometry.stamp_ns, position, rotation, covariance, number, 0), "", unestimated
+    def _transform(self, odometry: Odometry, *, last: bool) -> StampedTransform | None:
         if last:
-            transform = self.transforms.last(odometry.frame_id)
-        else:
-            transform = self.transforms.find(odometry.frame_id, odometry.stamp_ns, oldest=s.rules > 1)
-        if transform is None:
-            return PoseReason.POSE_FRAME, f"no transform leads from frame {odometry.frame_id!r} to the map's", False
-        turn = rotation_matrix(transform.rotation)
-        moved = rotate(turn, position)
-        t = transform.translation
-        placed = t[0] + moved[0], t[1] + moved[1], t[2] + moved[2]
-        if not all(map(math.isfinite, placed)):
-            return PoseReason.POSE_FRAME, "its position overflows", False  # the sum of finite numbers may
-        if fault:
-            return PoseReason.BAD_COVARIANCE, why, False
-        turned: Floats | None = None if covariance is None else turn_covariance(turn, covariance)
-        if (
-            turned is not None and not np.isfinite(turned).all()
-        ):  # turned into map axes, the largest numbers may overflow
-            return PoseReason.BAD_COVARIANCE, "it overflows in map axes", False
-        turned_rotation = multiply(transform.rotation, rotation)
-        return Pose(odometry.stamp_ns, placed, turned_rotation, turned, number, transform.input), "", unestimated
+            return self.transforms.last(odometry.frame_id)
+        return self.transforms.find(odometry.frame_id, odometry.stamp_ns, oldest=self.settings.rules > 1)
+
+    def _covariance(self, odometry: Odometry) -> Settled:
+        """Return an odometry's covariance as it is used, in its frame's axes. Raises BadCovariance."""
+        s, covariance = self.settings, odometry.covariance
+        if odometry.covariance_fault:
+            raise BadCovariance
+        if s.rules > 1:
+            return settle(covariance, s.pose_sigma, s.pose_covariance_of(self.name))
+        if covariance is not None and (covariance.diagonal() < 0.0).any():
+            raise BadCovariance
+        return Settled(covariance)
 
     def begin_map(self, number: int) -> None:
         """Forget the stamps: the map was emptied, and the same recording may be played again from this input on."""

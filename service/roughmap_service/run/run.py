@@ -2,10 +2,12 @@
 
 The way of a cloud, live:
 
-    taken = run.take(robot, content, identity, arrival)     # it is in the log; it waits in the inbox for its poses
-    proposal = run.decide(now)                              # the next cloud that can be decided, and by which poses
-    change = run.place(proposal)                            # its points are placed, its tiles are in memory
-    event = change()                                        # the map has changed; the event goes into the log
+    run.take(robot, content, identity, received_ns, arrival)  # it is in the log; it waits in the inbox for its poses
+    for found in run.find_times(now):                         # clouds of a new sensor wait until their times are clear;
+        run.read_times(found)                                 # the event that says so goes into the log
+    proposal = run.decide(now)                                # the next cloud that can be decided, and by which poses
+    change = run.place(proposal)                              # its points are placed, its tiles are in memory
+    event = change()                                          # the map has changed; the event goes into the log
 
 A replay takes the same messages, and `follow` does what the logged events say. There is no thread, network, disk or
 clock in here, so nothing but the order of the calls decides what comes out.
@@ -39,8 +41,8 @@ from roughmap_service.run.point_times import Ambiguous
 from roughmap_service.run.poses import NoTrajectory, Pose
 from roughmap_service.run.robot import OdometryTaken, Robot
 from roughmap_service.run.sensor_clock import Doubt, SensorClock
-from roughmap_service.run.sensor_times import SensorTimes
-from roughmap_service.run.settings import NS, Settings
+from roughmap_service.run.sensor_times import Reading, SensorTimes
+from roughmap_service.run.settings import Settings, time_offset_ns
 
 KNOWN_WHEN_PLACED = (INTEGRATED, CloudReason.EMPTY, CloudReason.TOO_MANY_TILES)
 """Outcomes that follow from placing the cloud. All others are known before."""
@@ -48,6 +50,9 @@ KNOWN_WHEN_PLACED = (INTEGRATED, CloudReason.EMPTY, CloudReason.TOO_MANY_TILES)
 
 REPLAYED = Arrival(0.0)
 """The arrival of a replayed message: it waits for nothing."""
+
+
+UNTIMED = Doubt(CloudReason.TIME_FORM)
 
 
 class RunError(ReportedError):
@@ -87,6 +92,7 @@ class Run:
         clouds: logged clouds without a decision, by input number.
         doubts: what is wrong with the stamps of those in doubt.
         times: how the times of the sensors' points are read.
+        readings: how those of a cut's undecided clouds were, until the clouds are read from the log again.
         newest_stamp_ns: of the points in the map.
     """
 
@@ -100,6 +106,7 @@ class Run:
     clouds: dict[int, LoggedCloud] = field(default_factory=dict)
     doubts: dict[int, Doubt] = field(default_factory=dict)
     times: SensorTimes = field(default_factory=SensorTimes)
+    readings: dict[int, Reading | None] = field(default_factory=dict)
     duplicates: Duplicates = field(init=False)
     inbox: Inbox = field(init=False)
 
@@ -134,9 +141,19 @@ class Run:
 
     def keep(self, number: int, robot: str, content: Cloud, arrival: Arrival = REPLAYED) -> LoggedCloud:
         """Keep a logged cloud until its event."""
-        timed = self.times.read(robot, content, self.settings)
-        cloud = self.clouds[number] = LoggedCloud.of(number, robot, content, timed, arrival)
+        reading = self.times.reading(robot, content, self.settings)
+        cloud = self.clouds[number] = LoggedCloud.of(number, robot, content, reading, arrival)
         return cloud
+
+    def keep_again(self, number: int, robot: str, content: Cloud) -> None:
+        """Keep a cloud that was undecided at a store's cut; its points' times are read as they were then.
+
+        Since it came, the sensor's form or settings may have changed.
+        """
+        if number in self.readings:
+            self.clouds[number] = LoggedCloud.of(number, robot, content, self.readings.pop(number), REPLAYED)
+        else:
+            self.keep(number, robot, content)  # decided, or of a version without forms
 
     def resume(self, now: float) -> None:
         """Continue live after a replay: undecided clouds wait again, from monotonic time ``now`` (s) on."""
@@ -153,7 +170,10 @@ class Run:
             robot, frame_id = sensor = clouds[0].sensor
             found = self.times.find(sensor, [one.cloud for one in clouds], self.settings, last=due)
             if isinstance(found, Ambiguous):
-                self.doubts.update({one.input: Doubt(CloudReason.TIME_FORM) for one in clouds})
+                for one in clouds:
+                    known = self.doubts.get(one.input)
+                    if known is None or known.reason is None:
+                        self.doubts[one.input] = UNTIMED
                 yield NoTimes(robot, frame_id, found.seen)
             elif found is not None:
                 yield SensorTimeEvent(
@@ -164,11 +184,11 @@ class Run:
     def read_times(self, event: SensorTimeEvent) -> SensorTimeEvent:
         """Read the times of a sensor's points in this form from now on, and those of its waiting clouds."""
         sensor = event.robot, event.frame_id
-        self.times.forms[sensor] = TimeForm(event.field, event.unit, event.origin)
+        self.times.take(sensor, TimeForm(event.field, event.unit, event.origin), self.settings)
 
         def with_times(cloud: LoggedCloud) -> LoggedCloud:
-            timed = None if cloud.timed else self.times.read(cloud.robot, cloud.cloud, self.settings)
-            return cloud if timed is None else cloud.with_times(timed)
+            reading = None if cloud.timed else self.times.reading(cloud.robot, cloud.cloud, self.settings)
+            return cloud if reading is None else cloud.with_times(reading)
 
         for number, cloud in self.clouds.items():
             if cloud.sensor == sensor:
@@ -273,7 +293,6 @@ class Run:
 
     def use(self, settings: Settings) -> None:
         """Continue under other settings, such as those of the log's next file."""
-        self.times.forget_changed(self.settings, settings)
         self.settings = self.inbox.settings = settings
         for robot in self.robots.values():
             robot.use(settings)
@@ -289,15 +308,17 @@ class Run:
         if self.settings.rules == 1 or cloud.cloud.frame_id == self.settings.frame_id:
             return
         robot, config = self.robot(cloud.robot), self.settings.config.sensor(*cloud.sensor)
-        offset_ns = 0 if config is None else round(config.time_offset * NS)
+        offset_ns = 0 if config is None else time_offset_ns(config)
         sensor = robot.sensors.setdefault(cloud.cloud.frame_id, SensorClock())
         doubt = sensor.cloud(cloud.input, stamp_ns + offset_ns, received_ns, robot.clock)
         if doubt is not None:
             self.doubts[cloud.input] = doubt
 
     def _end_clouds(self, name: str, number: int) -> None:
-        """The robot's clock went back at this input: of the clouds since, only those after their sensor's stamps fell
-        back are of the present clock."""
+        """End a robot's clouds as `clock_reset`: its clock went back at this input.
+
+        Of the clouds since, only those after their sensor's stamps fell back too are of the present clock.
+        """
         sensors = self.robots[name].sensors
         for cloud in self.clouds.values():
             if cloud.robot != name or cloud.input < number or cloud.cloud.frame_id not in sensors:

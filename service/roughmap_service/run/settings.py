@@ -22,7 +22,7 @@ RULES = 2
 LARGEST_SIGMA = 1e100
 """Larger sigmas count as this one: its square is still finite."""
 
-LONGEST_HISTORY = float(1 << 32)
+LONGEST = float(1 << 32)
 """Seconds that span all stamps; more might not fit an integer number of nanoseconds."""
 
 
@@ -60,7 +60,7 @@ class Settings:
         self.max_wait = inputs.max_wait
         self.max_pose_gap = inputs.max_pose_gap
         self.max_pose_gap_ns = Limits(max_pose_gap=inputs.max_pose_gap).max_gap_ns
-        self.history_ns = round(min(inputs.pose_history, LONGEST_HISTORY) * NS)
+        self.history_ns = round(min(inputs.pose_history, LONGEST) * NS)
         self.max_speed = inputs.max_speed
         self.max_leap = inputs.max_leap
         self.max_acceleration = inputs.max_acceleration
@@ -98,6 +98,11 @@ class Settings:
                 return None  # not cached: unknown frame names come from outside, and there is no limit on their number
             self._sensors[key] = _sensor(found, self.max_pose_gap)
         return self._sensors[key]
+
+
+def time_offset_ns(config: SensorConfig) -> int:
+    """Return what is added to the stamps of a sensor's clouds."""
+    return round(min(max(config.time_offset, -LONGEST), LONGEST) * NS)
 
 
 def _sensor(config: SensorConfig, max_pose_gap: float) -> Sensor:

@@ -56,8 +56,9 @@ class Cut:
     """The place in the run where the stored map stands, and what the run needs beside the map to go on from there.
 
     ``input`` and ``record`` are the last ones before the cut. ``low_water`` is the input of the oldest undecided cloud,
-    or the next input if there is none. ``poses`` (the robots), ``duplicates`` (the remembered messages), ``doubts`` (of
-    undecided clouds) and ``times`` (how the sensors' times are read) are JSON values. ``digest`` is the map's.
+    or the next input if there is none. ``poses`` (the robots), ``duplicates`` (the remembered messages), ``doubts`` and
+    ``readings`` (of undecided clouds: how their points' times were read) and ``times`` (how the sensors' times are
+    read) are JSON values. ``digest`` is the map's.
     """
 
     run: str
@@ -72,6 +73,7 @@ class Cut:
     duplicates: list[Any] = field(default_factory=list)
     doubts: dict[str, Any] = field(default_factory=dict)
     times: list[Any] = field(default_factory=list)
+    readings: dict[str, Any] = field(default_factory=dict)
     digest: str = ""
     state_version: int = STATE_VERSION
 

@@ -12,6 +12,7 @@ from roughmap_service.journal.keep import Needed, delete_oldest
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.run.run import Run
 from roughmap_service.run.sensor_clock import Doubt
+from roughmap_service.run.sensor_times import Reading
 from roughmap_service.run.settings import NS
 from roughmap_service.run.view import View
 from roughmap_service.store.map_db import Cut, Store, StoreError
@@ -44,6 +45,7 @@ def cut_of(run_id: str, config: Config, run: Run) -> Cut:
         poses={name: robot.to_state() for name, robot in run.robots.items()},
         doubts={str(number): doubt.to_state() for number, doubt in run.doubts.items()},
         times=run.times.to_state(),
+        readings={str(n): None if c.reading is None else c.reading.to_state() for n, c in run.clouds.items()},
         duplicates=run.duplicates.to_state(),
         digest=run.map.digest(),
     )
@@ -57,6 +59,8 @@ def take_cut(cut: Cut, run: Run) -> None:
         run.robot(name).load_state(robot)
     run.doubts.update({int(number): Doubt.of_state(doubt) for number, doubt in cut.doubts.items()})
     run.times.load_state(cut.times)
+    for number, reading in cut.readings.items():
+        run.readings[int(number)] = None if reading is None else Reading.of_state(reading)
     run.duplicates.load_state(cut.duplicates)
 
 

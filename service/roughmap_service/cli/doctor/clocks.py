@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from roughmap_service.cli.doctor.findings import Finding, Verdict, table
-from roughmap_service.cli.doctor.heard import NS, Heard
+from roughmap_service.cli.doctor.heard import Heard
 from roughmap_service.run.sensor_clock import LIMIT_NS, NOTICE_NS
+from roughmap_service.run.settings import NS
 
 CLOCK_S = 1.0
 """Stamps further than this from those of another clock, in seconds, are no matter of latency."""

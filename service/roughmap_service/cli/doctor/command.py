@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from roughmap_service.cli.doctor.findings import Finding, show
+from roughmap_service.cli.doctor.findings import Finding, Verdict, show
 from roughmap_service.cli.options import Failure, config_options, json_option, load
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, 
     findings += doctor_security.zenoh_access(loaded)
     findings += [found] if (found := doctor_security.http_access(config.http)) else []
     with ExitStack() as stack:
-        beside = _session(loaded, stack)
+        beside = _session(loaded, stack, listening=seconds > 0)
         findings += [doctor_machine.http_port(config, running=beside.running), *beside.findings]
         if beside.session is not None and seconds > 0:
             click.echo(f"listening for {seconds:g} s ...", err=True)
@@ -82,8 +82,11 @@ class Beside(NamedTuple):
     status: "MapStatus | None" = None
 
 
-def _session(loaded: "LoadedConfig", stack: ExitStack) -> Beside:
-    """Open a session with the running service, or the one that the service would open; tell whether it is running."""
+def _session(loaded: "LoadedConfig", stack: ExitStack, *, listening: bool) -> Beside:
+    """Open a session with the running service, or the one that the service would open; tell whether it is running.
+
+    ``listening``: the service's problems are told at the end.
+    """
     from roughmap_client import RoughMapClient
     from roughmap_client.errors import RoughMapError
     from roughmap_schemas.faults import ConfigFault
@@ -99,8 +102,9 @@ def _session(loaded: "LoadedConfig", stack: ExitStack) -> Beside:
         client = RoughMapClient(config.map.name, session=session, timeout=STATUS_S, keys=config.keys)
         status = client.status()
         text = f"the service has been up for {status.uptime_s:.0f} s, health {status.health}; listening beside it"
-        verdict = Finding("zenoh", "ok" if status.health == "ok" else "wrong", text)
-        return Beside(session, True, [verdict, *_refused(status), *_peers(loaded)], client, status)
+        verdict: Verdict = "ok" if status.health == "ok" else "note" if listening and status.problems else "wrong"
+        found = [Finding("zenoh", verdict, text), *_refused(status), *_peers(loaded)]
+        return Beside(session, True, found, client, status)
     except (Failure, RoughMapError, ConfigFault) as error:
         stack.close()  # no service, or that of another map
         if config.http.listen is not None and served_map(config) == config.map.name:
@@ -124,9 +128,10 @@ def _refused(status: "MapStatus") -> list[Finding]:
     """Return a note if the running service refused messages."""
     if not status.refused:
         return []
-    reasons = ", ".join(f"{reason} {number}" for reason, number in status.refused.items())
-    text = f"the service has refused {sum(status.refused.values())} messages since its start: {reasons}"
-    return [Finding("robots", "note", text, "its log lines with the event `refused` name the robot and the cause")]
+    reasons = ", ".join(f"{reason} {number:,}" for reason, number in status.refused.items())
+    text = f"the service has refused {sum(status.refused.values()):,} messages since its start: {reasons}"
+    remedy = "its log lines (refused, stream_lost) name the robot and the cause"
+    return [Finding("robots", "note", text, remedy)]
 
 
 def _peers(loaded: "LoadedConfig") -> list[Finding]:

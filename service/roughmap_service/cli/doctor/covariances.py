@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap_schemas.config import Config
+from roughmap_schemas.odometry import SYMMETRY
 from roughmap_service.cli.doctor.findings import Finding, Verdict, table
-from roughmap_service.cli.doctor.heard import NS, HeardPose
+from roughmap_service.cli.doctor.heard import HeardPose
 from roughmap_service.run.covariances import NOT_ESTIMATED, UNKNOWN_VARIANCE, BadCovariance, Policy, settle
+from roughmap_service.run.settings import NS
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -88,7 +90,7 @@ def look(poses: Sequence[HeardPose], pose_sigma: Floats, policy: Policy) -> Cova
 
 
 def _fault(sent: tuple[float, ...]) -> str:
-    """Return why the numbers are no symmetric matrix, or nothing."""
+    """Return why the service's decoder finds no symmetric matrix in the numbers; "" if it does find one."""
     if len(sent) != 36:
         return f"{'more than 36' if len(sent) > 36 else len(sent)} numbers instead of 36"
     matrix = np.array(sent, np.float64).reshape(6, 6)
@@ -96,7 +98,7 @@ def _fault(sent: tuple[float, ...]) -> str:
         return "a number that is not finite"
     variances = np.abs(matrix.diagonal())
     scale = np.maximum(np.maximum(abs(matrix), abs(matrix.T)), np.sqrt(np.outer(variances, variances)))
-    if (abs(matrix - matrix.T) > 1e-6 * scale).any():
+    if (abs(matrix - matrix.T) > SYMMETRY * scale).any():
         return "it is not symmetric"
     return ""
 

@@ -10,8 +10,7 @@ from roughmap_schemas.kinds import INPUTS, Kind
 from roughmap_service.cli.doctor.numbering import Numbers
 from roughmap_service.cli.doctor.survey import Survey
 from roughmap_service.cli.doctor.times import TimeSample
-
-NS = 1_000_000_000
+from roughmap_service.run.settings import NS
 
 MAX_KEPT = 20_000
 """Messages kept of one robot's odometry, of its transforms, and of each of its sensors."""

@@ -10,9 +10,10 @@ import numpy as np
 
 from roughmap_schemas.config import Config
 from roughmap_service.cli.doctor.findings import Finding, table
-from roughmap_service.cli.doctor.heard import NS, HeardPose, HeardTransform, rate, times
+from roughmap_service.cli.doctor.heard import HeardPose, HeardTransform, rate, times
 from roughmap_service.run.leaps import Leap, find_leap, motion_before
 from roughmap_service.run.poses import Pose
+from roughmap_service.run.settings import NS
 
 BURST = 0.2
 """A message that follows so soon belongs to a burst: as a part of the mean time between two."""
@@ -44,7 +45,14 @@ def judge_poses(robot: str, poses: Sequence[HeardPose], rows: Sequence[Sequence[
         text = (
             f"poses were up to {gap:.2f} s apart; clouds across more than input.max_pose_gap = {most:g} s are rejected"
         )
-        findings.append(Finding(robot, "wrong", text, "publish poses more often, or raise input.max_pose_gap"))
+        steps = [(b.stamp_ns - a.stamp_ns) / NS for row in stamped for a, b in pairwise(row)]
+        remedy, settings = "publish poses more often, or raise input.max_pose_gap", ""
+        if (usual := float(np.median(steps))) > most:  # always so, not now and then
+            enough = round(1.5 * usual, 1)
+            remedy = "publish poses more often, or wait for them longer:"
+            values = {"max_pose_gap": enough, "max_wait": max(enough, config.input.max_wait)}
+            settings = table(("input",), values)
+        findings.append(Finding(robot, "wrong", text, remedy, settings))
     burst = _bursts(robot, stamped)
     findings += burst
     for frame in sorted(frames)[:MAX_FRAMES]:
@@ -109,7 +117,7 @@ def _leapt(robot: str, leaps: Sequence[Leap], config: Config) -> Finding:
     )
     remedy = (
         "let odometry run smoothly in a frame of its own (odom) and publish corrections as the transform from "
-        f"{config.map.frame_id!r} to it; if the robot does move so, raise input.max_acceleration or input.max_speed"
+        f"{config.map.frame_id!r} to it; if the robot does move so, raise input.max_leap"
     )
     return Finding(robot, "wrong", text, remedy)
 
@@ -137,6 +145,8 @@ def judge_frames(
     findings = []
     for frame in sorted({pose.frame_id for pose in poses} - {frame_id} - set(lead))[:MAX_FRAMES]:
         text = f"odometry in frame {frame!r} is rejected (pose_frame): no transform leads to {frame_id!r}"
+        if not transforms:  # one may have been published once, before doctor listened
+            text = f"odometry is in frame {frame!r}: no transform to {frame_id!r} came; without one, it is rejected"
         if frame.strip("/") == frame_id.strip("/"):
             text = f"odometry in frame {frame!r} is rejected (pose_frame): the map's frame is {frame_id!r}"
             remedy = "publish it without the slash, or name the map's frame so (which needs a new run, --fresh):"
@@ -146,7 +156,6 @@ def judge_frames(
         remedy = f"publish that transform, or odometry in {frame_id!r}, or set map.frame_id"
         if slashed:
             remedy = f"use one name: transforms have {slashed[0]!r}, without or with a leading slash"
-        # A transform may have been published once, before doctor listened.
         findings.append(Finding(robot, "wrong" if transforms else "note", text, remedy))
     for parent in sorted({one.parent for one in transforms} - {frame_id})[:MAX_FRAMES]:
         slash = parent.strip("/") == frame_id.strip("/")

@@ -11,12 +11,13 @@ from roughmap_service.cli.doctor.clocks import judge_machine_clock, judge_sensor
 from roughmap_service.cli.doctor.clouds import judge_frame, judge_points
 from roughmap_service.cli.doctor.covariances import judge_covariances
 from roughmap_service.cli.doctor.findings import Finding, Verdict
-from roughmap_service.cli.doctor.heard import NS, Heard, Robot, Tally, rate, times
+from roughmap_service.cli.doctor.heard import Heard, Robot, Tally, rate, times
 from roughmap_service.cli.doctor.poses import judge_frames, judge_poses
 from roughmap_service.cli.doctor.stamps import Course, clean, course, judge_stamps
 from roughmap_service.cli.doctor.times import Times, judge_times, read_times
 from roughmap_service.cli.doctor.traffic import Traffic
 from roughmap_service.cli.doctor.waits import pose_waits
+from roughmap_service.run.settings import NS
 
 LOST = 0.01
 """Part of the messages that may be lost on the way."""

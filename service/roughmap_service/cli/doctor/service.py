@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from roughmap_schemas.messages import MapStatus
-from roughmap_service.cli.doctor.findings import Finding
+from roughmap_service.cli.doctor.findings import Finding, Verdict
 
 MOST = 0.9
 """Part of the clouds, points or poses that must come to nothing to be wrong."""
@@ -15,9 +15,10 @@ ENOUGH = 5
 
 def judge_service(before: MapStatus, after: MapStatus) -> list[Finding]:
     """Compare two statuses of one service; the later one also names its problems."""
-    findings = [Finding(subject, "wrong", sentence, "") for subject, sentence in sorted(after.problems.items())]
+    findings = [Finding("service", "wrong", sentence) for _, sentence in sorted(after.problems.items())]
     if before.instance != after.instance:
         return findings
+    clouds_lost = False
     for what, good, rejected in (
         (
             "clouds",
@@ -38,11 +39,13 @@ def judge_service(before: MapStatus, after: MapStatus) -> list[Finding]:
             findings.append(
                 Finding("service", "note", f"refused {bad} messages meanwhile: {reasons}", "see above for the cause")
             )
-        elif what == "points" and findings and findings[-1].area == "service":
+        elif what == "points" and clouds_lost:
             continue  # those of clouds that came to nothing
         elif bad >= ENOUGH and bad > MOST * (good + bad):
             text = f"rejected {bad:,} of {good + bad:,} {what} meanwhile: {reasons}"
-            findings.append(Finding("service", "wrong", text, "see above for the cause"))
+            told: Verdict = "note" if after.problems else "wrong"
+            findings.append(Finding("service", told, text, "see above for the cause"))
+            clouds_lost = what == "clouds"
     return findings
 
 

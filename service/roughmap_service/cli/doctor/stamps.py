@@ -7,8 +7,9 @@ from typing import Literal
 import numpy as np
 
 from roughmap_service.cli.doctor.findings import Finding
-from roughmap_service.cli.doctor.heard import NS, Heard
+from roughmap_service.cli.doctor.heard import Heard
 from roughmap_service.run.odometry_clock import FROZEN
+from roughmap_service.run.settings import NS
 
 NEAR_NS = NS
 """A stamp that differs by more from what the arrivals let expect is wild, or the clock was set."""

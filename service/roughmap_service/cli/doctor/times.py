@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +11,14 @@ from roughmap_schemas import NO_TIMES, TimeField, TimeForm
 from roughmap_schemas.point_times import relative_ns
 from roughmap_schemas.robot_sections import SensorConfig
 from roughmap_service.cli.doctor.findings import Finding, table
-from roughmap_service.run.point_times import FIRING, NAMES, SHORTEST_S, Ambiguous, find_form
-
-NS = 1_000_000_000
+from roughmap_service.run.point_times import FIRING, NAMES, SHARES, SHORTEST_S, Ambiguous, find_form
+from roughmap_service.run.settings import NS
 
 FEW, MOST = 0.01, 0.5
 """Parts of the points without a valid time: from the first one on it is told, from the second on it is wrong."""
+
+LONG = 3.0
+"""Times from one cloud to the next that a sweep can't last: scans overlap a little, and stamps jitter."""
 
 ORIGINS = {"start": "from the sweep's start", "end": "to the sweep's end", "absolute": "since 1970"}
 
@@ -45,10 +48,12 @@ class Times:
 def read_times(samples: Sequence[TimeSample], sensor: SensorConfig | None) -> Times | None:
     """Find the form of the times in a sensor's first clouds, as the service does; None if the clouds are too small."""
     fields = [(sample.stamp_ns, sample.fields) for sample in samples]
-    if sensor is None:
-        form = find_form(fields, last=True)
-    else:
-        form = find_form(fields, sensor.time_field, sensor.time_unit, sensor.time_origin, last=True)
+    said = (sensor.time_field, sensor.time_unit, sensor.time_origin) if sensor is not None else ("auto", "auto", "auto")
+    form = None
+    for number in range(1, len(fields) + 1):  # one cloud may be enough; of several, stamps must fit too
+        form = find_form(fields[:number], *said, last=number == len(fields))
+        if form is not None:
+            break
     if form is None:
         return None
     if isinstance(form, Ambiguous) or not form.field:
@@ -83,7 +88,10 @@ def judge_times(
     form = found.form
     if isinstance(form, Ambiguous):
         text = f"it is unclear how the times of points in {frame!r} are meant: {form.seen}; its clouds end as time_form"
-        remedy = "say it by time_field, time_unit and time_origin; until then, map without these times:"
+        how = "say it by time_field, time_unit and time_origin"
+        if SHARES in form.seen:
+            how = "let the driver send times in s, ms, us or ns"
+        remedy = f"{how}; until then, map without these times:"
         return [Finding(robot, "wrong", text, remedy, table(table_names, {"time_field": "none"}))]
     if not form.field:
         return _without(robot, frame, samples, sensor)
@@ -100,6 +108,11 @@ def judge_times(
             values = {"time_field": right.field, "time_unit": right.unit, "time_origin": right.origin}
         return [Finding(robot, "wrong", text, "correct what the sensor's table says:", table(table_names, values))]
     text = f"points in {frame!r} have times: {shown}, over {span:.4f} s"
+    steps = [b.stamp_ns - a.stamp_ns for a, b in pairwise(samples)]
+    if steps and span > LONG * float(np.median(steps)) / NS > 0.0:
+        remedy = "check the field and its unit; until it is right, map without these times:"
+        text += f", but clouds are {np.median(steps) / NS:.3g} s apart"
+        return [Finding(robot, "wrong", text, remedy, table(table_names, {"time_field": "none"}))]
     findings = [Finding(robot, "ok", text)]
     if found.invalid >= FEW:
         text = f"{100 * found.invalid:.0f} % of the points in {frame!r} have no valid time and are rejected (time)"

@@ -4,15 +4,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roughmap_service.cli.doctor.heard import NS, Heard
+from roughmap_service.cli.doctor.heard import Heard
+from roughmap_service.run.settings import NS
 
 
 def pose_waits(clouds: Sequence[Heard], poses: Sequence[Heard], ended_ns: int) -> tuple[list[float], int]:
     """Return for each cloud how many seconds later the pose arrived that covers it, and how many had none.
 
-    The clouds' stamps are the times of their last points.
-
-    A cloud that arrived less than 1 s before ``ended_ns``, the end of listening, does not count as one without a pose.
+    The clouds' stamps are the times of their last points. A cloud that arrived less than 1 s before ``ended_ns``, the
+    end of listening, does not count as one without a pose.
     """
     covered: list[Heard] = []  # arrivals at which the newest stamp rose
     for pose in poses:
