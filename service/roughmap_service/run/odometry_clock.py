@@ -116,8 +116,7 @@ class OdometryClock:
             return Verdict.TAKE
         if stamp_ns == newest:
             return Verdict.BACK if self.anew_from else Verdict.REPEAT
-        usual_ns = sorted(self.gaps)[-2] if len(self.gaps) > 1 else history_ns
-        next_ns = min(max_gap_ns, history_ns, NEXT * usual_ns)
+        next_ns = self._next_ns(max_gap_ns, history_ns)
         if newest < stamp_ns <= newest + next_ns:
             # A small step back is a row that went on from below; a wild stamp is not.
             low = [one.stamp_ns for one in held if one.stamp_ns <= newest]
@@ -139,6 +138,18 @@ class OdometryClock:
         if self.two_sources and len(ten) == BELIEVED_LATER and max(ten) <= newest and max(ten) > ten[0]:
             return Verdict.BACK
         return Verdict.HOLD
+
+    def _next_ns(self, max_gap_ns: float, history_ns: int) -> float:
+        """Return how far ahead of the newest the next stamp may be.
+
+        A usual step is no leap, even if it is too long to place clouds in it.
+        """
+        gaps = sorted(self.gaps)
+        if not gaps:
+            return min(max_gap_ns, history_ns)
+        if len(gaps) == 1:
+            return min(max(max_gap_ns, 1.5 * gaps[0]), history_ns)
+        return min(max(min(max_gap_ns, NEXT * gaps[-2]), 1.5 * gaps[-2]), history_ns)
 
     def row_of(self, stamp_ns: int, held: list[Held], max_gap_ns: float, history_ns: int) -> list[Held]:
         """Return the last of those held that a believed message of this stamp belongs to."""
