@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, SecretStr, model_validator
 
 from roughmap_schemas.faults import ConfigFault
 from roughmap_schemas.keys import TEMPLATES, Keys
-from roughmap_schemas.robot_sections import RobotConfig, SensorConfig
+from roughmap_schemas.robot_sections import Policy, RobotConfig, SensorConfig
 from roughmap_schemas.sections import (
     HttpConfig,
     InputConfig,
@@ -129,6 +129,11 @@ class Config(Section):
         if own is not None and frame_id in own.sensors:
             return own.sensors[frame_id]
         return self.sensors.get(frame_id)
+
+    def pose_covariance(self, robot: str) -> Policy:
+        """Return how the covariances of a robot's poses are used."""
+        own = self.robots.get(robot)
+        return "message" if own is None else own.pose_covariance
 
     def identity(self) -> dict[str, Any]:
         """Return the settings that determine the map's cells: with other values the cells would differ."""

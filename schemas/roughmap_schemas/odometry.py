@@ -1,8 +1,9 @@
 """Poses of a robot's base: ``foxglove.Odometry`` from and to numbers."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry as OdometryMessage
@@ -55,29 +56,29 @@ def decode_odometry(payload: bytes, *, max_message: int) -> Odometry:
         raise bad_message(f"{WHAT}.pose: expected a pose; found none")
     position = read_vector(message.pose.position, f"{WHAT}.pose.position")
     rotation = read_rotation(message.pose.orientation, f"{WHAT}.pose.orientation")
-    covariance, fault = _covariance(message.pose_covariance)
-    return Odometry(stamp_ns, message.frame_id, message.body_frame_id, position, rotation, covariance, fault)
+    covariance, fault = read_covariance(message.pose_covariance)
+    return Odometry(stamp_ns, message.frame_id, message.body_frame_id, position, rotation, covariance, bool(fault))
 
 
-def _covariance(given: Any) -> tuple[NDArray[np.float64] | None, bool]:
-    """Return the 6x6 matrix or None, and whether it is invalid."""
+def read_covariance(given: Sequence[float]) -> tuple[NDArray[np.float64] | None, str]:
+    """Return a message's covariance (6, 6), None if it has none or an invalid one, and what is wrong with it or ""."""
     if len(given) == 0:
-        return None, False
+        return None, ""
     if len(given) != 36:
-        return None, True
+        return None, f"{'more than 36' if len(given) > 36 else len(given)} numbers instead of 36"
     matrix = np.array(given, np.float64).reshape(6, 6)
     if not matrix.any():
-        return None, False
+        return None, ""
     if not np.isfinite(matrix).all():
-        return None, True
+        return None, "a number that is not finite"
     variances = [abs(float(value)) for value in matrix.diagonal()]
     for row in range(6):
         for column in range(row + 1, 6):
             upper, lower = float(matrix[row, column]), float(matrix[column, row])
             scale = max(abs(upper), abs(lower), math.sqrt(variances[row]) * math.sqrt(variances[column]))
             if abs(upper - lower) > SYMMETRY * scale:
-                return None, True
-    return matrix, False
+                return None, "it is not symmetric"
+    return matrix, ""
 
 
 def encode_odometry(

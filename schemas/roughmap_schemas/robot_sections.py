@@ -67,10 +67,14 @@ def _as_it_is(value: object) -> object:
     return value
 
 
+Policy = Literal["message", "floor", "cap", "configured"]
+"""How the covariances of a robot's poses are used."""
+
+
 class RobotConfig(Section):
     """One robot: how far its poses are trusted, and its sensors, merged over the general ones of the frame."""
 
-    pose_covariance: Literal["message", "floor", "cap", "configured"] = "message"
+    pose_covariance: Policy = "message"
     """Covariance of the robot's poses: as in the message, at least or at most `input.pose_sigma`, or always that."""
     sensors: Annotated[
         dict[Frame, SensorConfig], BeforeValidator(_as_it_is, json_schema_input_type=dict[Frame, SensorOverrides])

@@ -232,7 +232,7 @@ def _uncertain_far(lost: LostCloud, sensor: SensorConfig, variances: Sequence[fl
 
 def _capped(lost: LostCloud, *, known: bool) -> str:
     """Return the remedy for a pose's covariance that is too large; ``known``: it is not input.pose_sigma's."""
-    policy = lost.settings.pose_covariance_of(lost.cloud.robot)
+    policy = lost.settings.config.pose_covariance(lost.cloud.robot)
     if not known or policy in ("cap", "configured"):
         return "lower input.pose_sigma"
     return f'cap it ({robot_table(lost.cloud.robot)} pose_covariance = "cap")'

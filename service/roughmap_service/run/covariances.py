@@ -2,10 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
+from roughmap_schemas.robot_sections import Policy
 from roughmap_service.run.pose_algebra import Floats
 
 NOT_ESTIMATED = -1.0
@@ -18,15 +18,13 @@ UNKNOWN_VARIANCE = (1e4, 1e4, 1e4, 1e2, 1e2, 1e2)
 TOLERANCE = 1e-6
 """How far below 0 an eigenvalue of the correlation matrix may be: rounding in a filter, not a contradiction."""
 
-Policy = Literal["message", "floor", "cap", "configured"]
-
 
 @dataclass(frozen=True, slots=True)
 class Settled:
-    """A covariance (6, 6), None for `input.pose_sigma`; ``replaced`` if the message had no estimate of some of it."""
+    """A covariance (6, 6), None for `input.pose_sigma`, and the axes that the message did not estimate, from 0."""
 
     covariance: Floats | None
-    replaced: bool = False
+    unestimated: tuple[int, ...] = ()
 
 
 class BadCovariance(ValueError):
@@ -43,24 +41,24 @@ def settle(covariance: Floats | None, sigma: Floats, policy: Policy) -> Settled:
         return Settled(None)
     c: list[list[float]] = covariance.tolist()
     if c[0][0] == NOT_ESTIMATED and not any(c[i][j] for i in range(6) for j in range(6) if i or j):
-        return Settled(None, replaced=True)
+        return Settled(None, tuple(range(6)))
     variances = [float(s) * float(s) for s in sigma]
-    unknown = [c[i][i] == NOT_ESTIMATED or c[i][i] >= UNKNOWN_VARIANCE[i] for i in range(6)]
+    unestimated = tuple(i for i in range(6) if c[i][i] == NOT_ESTIMATED or c[i][i] >= UNKNOWN_VARIANCE[i])
     for i in range(6):
-        if unknown[i]:
+        if i in unestimated:
             _replace(c, i, variances[i])
         elif c[i][i] < 0.0:
             raise BadCovariance(f"variance {c[i][i]:g} is negative")
     slack = _slack(c)
     if policy == "configured":
-        return Settled(None, any(unknown))
+        return Settled(None, unestimated)
     if policy != "message":
         for i in range(6):
             if (c[i][i] < variances[i]) if policy == "floor" else (c[i][i] > variances[i]):
                 _scale(c, i, variances[i])
     for i in range(6):
         c[i][i] *= 1.0 + slack
-    return Settled(np.array(c, np.float64), any(unknown))
+    return Settled(np.array(c, np.float64), unestimated)
 
 
 def _replace(c: list[list[float]], i: int, variance: float) -> None:

@@ -228,24 +228,8 @@ class OdometryClock:
 
     def to_state(self) -> dict[str, Any]:
         """Return everything as JSON values."""
-        return {
-            "newest_ns": self.newest_ns,
-            "held": [
-                [h.stamp_ns, h.input, h.pose.to_state() if isinstance(h.pose, Pose) else h.pose] for h in self.held
-            ],
-            "doubted": self.doubted,
-            "repeats": self.repeats,
-            "repeated": self.repeated,
-            "taken": self.taken,
-            "last_input": self.last_input,
-            "mixed": self.mixed,
-            "begun": self.begun,
-            "fence_ns": self.fence_ns,
-            "gaps": list(self.gaps),
-            "breaks": list(self.breaks),
-            "two_sources": self.two_sources,
-            "anew_from": self.anew_from,
-        }
+        held = [[h.stamp_ns, h.input, h.pose.to_state() if isinstance(h.pose, Pose) else h.pose] for h in self.held]
+        return {**vars(self), "held": held, "gaps": list(self.gaps), "breaks": list(self.breaks)}
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Restore what `to_state` returned."""

@@ -213,7 +213,7 @@ class Robot:
             return _Read(PoseReason.BAD_COVARIANCE, str(error))
         used = 0 if transform is None else transform.input
         pose = Pose(odometry.stamp_ns, position, rotation, covariance, number, used)
-        return _Read(pose, unestimated=settled.replaced)
+        return _Read(pose, unestimated=bool(settled.unestimated))
 
     def _transform(self, odometry: Odometry, *, last: bool) -> StampedTransform | None:
         if last:
@@ -226,7 +226,7 @@ class Robot:
         if odometry.covariance_fault:
             raise BadCovariance
         if s.rules > 1:
-            return settle(covariance, s.pose_sigma, s.pose_covariance_of(self.name))
+            return settle(covariance, s.pose_sigma, s.config.pose_covariance(self.name))
         if covariance is not None and (covariance.diagonal() < 0.0).any():
             raise BadCovariance
         return Settled(covariance)

@@ -10,7 +10,6 @@ import numpy.typing as npt
 from roughmap import Limits, Noise, RoughMap
 from roughmap.tiles.shelf import Shelf
 from roughmap_schemas import Config, SensorConfig
-from roughmap_service.run.covariances import Policy
 from roughmap_service.run.poses import MAX_POSES
 from roughmap_service.run.transforms import MAX_TRANSFORMS
 
@@ -83,11 +82,6 @@ class Settings:
         inputs = stored.get("input", {})
         limits = {name: inputs[name] for name in ("max_poses", "max_transforms") if isinstance(inputs.get(name), int)}
         return cls(config, rules=rules, **limits)
-
-    def pose_covariance_of(self, robot: str) -> Policy:
-        """How the covariances of a robot's poses are used."""
-        of = self.config.robots.get(robot)
-        return "message" if of is None else of.pose_covariance
 
     def sensor(self, robot: str, frame_id: str) -> Sensor | None:
         """The sensor with that frame on that robot; None if it is not configured."""

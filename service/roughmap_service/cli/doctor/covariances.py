@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap_schemas.config import Config
-from roughmap_schemas.odometry import SYMMETRY
+from roughmap_schemas.odometry import read_covariance
+from roughmap_schemas.robot_sections import Policy
 from roughmap_service.cli.doctor.findings import Finding, Verdict, table
 from roughmap_service.cli.doctor.heard import HeardPose
-from roughmap_service.run.covariances import NOT_ESTIMATED, UNKNOWN_VARIANCE, BadCovariance, Policy, settle
+from roughmap_service.run.covariances import UNKNOWN_VARIANCE, BadCovariance, settle
 from roughmap_service.run.settings import NS
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -57,50 +58,27 @@ def look(poses: Sequence[HeardPose], pose_sigma: Floats, policy: Policy) -> Cova
     found, sigmas, stamps = Covariances(), [], []
     for pose in poses[:: -(-len(poses) // MAX_JUDGED) or 1]:
         found.number += 1
-        sent = pose.covariance
-        if not any(sent):
+        if not any(pose.covariance):
             found.none += 1
             continue
-        fault = _fault(sent)
-        if fault:
+        matrix, fault = read_covariance(pose.covariance)
+        if matrix is None:
             found.faults[fault] += 1
             continue
-        matrix = np.array(sent, np.float64).reshape(6, 6)
-        variances = matrix.diagonal()
         try:
             settled = settle(matrix, pose_sigma, policy)
         except BadCovariance as error:
             found.faults[str(error)] += 1
             continue
-        if variances[0] == NOT_ESTIMATED and np.count_nonzero(matrix) == 1:
-            found.unknown.update(AXES)
-        else:
-            found.unknown.update(
-                axis
-                for axis, variance, most in zip(AXES, variances, UNKNOWN_VARIANCE, strict=True)
-                if variance >= most or variance == NOT_ESTIMATED
-            )
-            found.exact.update(axis for axis, variance in zip(AXES, variances, strict=True) if variance == 0.0)
+        found.unknown.update(AXES[i] for i in settled.unestimated)
+        if len(settled.unestimated) < len(AXES):
+            found.exact.update(axis for axis, variance in zip(AXES, matrix.diagonal(), strict=True) if variance == 0.0)
         used = np.square(pose_sigma) if settled.covariance is None else settled.covariance.diagonal()
         sigmas.append(np.sqrt(used))
         stamps.append((pose.stamp_ns - poses[0].stamp_ns) / NS)
     if sigmas:
         found.sigmas, found.stamps = np.array(sigmas), np.array(stamps)
     return found
-
-
-def _fault(sent: tuple[float, ...]) -> str:
-    """Return why the service's decoder finds no symmetric matrix in the numbers; "" if it does find one."""
-    if len(sent) != 36:
-        return f"{'more than 36' if len(sent) > 36 else len(sent)} numbers instead of 36"
-    matrix = np.array(sent, np.float64).reshape(6, 6)
-    if not np.isfinite(matrix).all():
-        return "a number that is not finite"
-    variances = np.abs(matrix.diagonal())
-    scale = np.maximum(np.maximum(abs(matrix), abs(matrix.T)), np.sqrt(np.outer(variances, variances)))
-    if (abs(matrix - matrix.T) > SYMMETRY * scale).any():
-        return "it is not symmetric"
-    return ""
 
 
 def judge_covariances(
@@ -110,8 +88,7 @@ def judge_covariances(
 
     ``ranges``: distances in metres that 10, 50 and 90 % of the points don't reach; None if no clouds came.
     """
-    of = config.robots.get(robot)
-    policy: Policy = "message" if of is None else of.pose_covariance
+    policy = config.pose_covariance(robot)
     found = look(poses, np.array(config.input.pose_sigma, np.float64), policy)
     findings = []
     sigma = f"input.pose_sigma = [{', '.join(f'{value:g}' for value in config.input.pose_sigma)}]"
