@@ -1,6 +1,7 @@
 """Leaps: poses that no motion explains, such as the corrections of a localisation."""
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -75,9 +76,11 @@ def motion_before(poses: Sequence[Pose], at: int) -> Motion | None:
     """Return the motion over 0.1 s or more without a leap before a pose; None if the last 400 poses have none."""
     end, first = at - 1, max(at - 1 - LOOKED_AT, 0)
     while end > first:
-        start = end
-        while start > first and not poses[start].leapt and poses[end].stamp_ns - poses[start].stamp_ns < MOTION_NS:
-            start -= 1
+        if poses[end].leapt:
+            end -= 1
+            continue
+        since = bisect_right(poses, poses[end].stamp_ns - MOTION_NS, first, end + 1, key=_stamp) - 1
+        start = next((k for k in range(end, since, -1) if poses[k].leapt), max(since, first))
         if (span := poses[end].stamp_ns - poses[start].stamp_ns) >= MOTION_NS:
             seconds = span * 1e-9
             a, b = poses[start], poses[end]
@@ -86,6 +89,10 @@ def motion_before(poses: Sequence[Pose], at: int) -> Motion | None:
             return Motion((x, y, z), (u, v, w))
         end = start - 1  # before the leap
     return None
+
+
+def _stamp(pose: Pose) -> int:
+    return pose.stamp_ns
 
 
 def _turn(a: Quaternion, b: Quaternion) -> Vector:
