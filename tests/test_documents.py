@@ -113,7 +113,9 @@ def test_every_alert_is_listed() -> None:
 
 def test_every_event_of_a_log_line_is_listed() -> None:
     sources = [path.read_text(encoding="utf-8") for path in (ROOT / "service" / "roughmap_service").rglob("*.py")]
-    known = {event for source in sources for event in re.findall(r"logging\.[A-Z]+,\s*\"(\w+)\"", source)}
+    # In `note(logger, logging.INFO, "robot", ...)` and in the notices' `self._tell(subject, "leap", ...)`.
+    said = r"(?:logging\.[A-Z]+|self\._tell\([^,]+),\s*\"(\w+)\""
+    known = {event for source in sources for event in re.findall(said, source)}
     assert set(names("OPERATIONS.md", "event")) == known
 
 

@@ -281,6 +281,7 @@ class Service:
             waiting=len(self._run.clouds),
             problems=self._parts.problems(),
             lost=self._streams.problems(),
+            recent=self._streams.recent.told(),
             log=LogState(file=str(self._writer.path), bytes=self._writer.size, ok=self._writer.ok),
         )
 

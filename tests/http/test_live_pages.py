@@ -59,7 +59,11 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 def test_the_pages_say_what_the_status_says(live: Running) -> None:
     status = live.feed.client.status()
-    assert json.loads(live.page("/readyz")) == {"ready": True, "problems": {}}
+    page = json.loads(live.page("/readyz"))
+    assert (page["ready"], page["problems"]) == (True, {})
+    assert page["recent"].keys() == status.recent.keys() == {"robot rover1"}
+    assert "3 odometry messages lost on the way" in status.recent["robot rover1"]
+    assert "its last cloud was not taken" in status.recent["robot rover1"]
     assert live.metric("roughmap_points_accepted_total") == status.points.accepted == 4
     assert live.metric('roughmap_messages_refused_total{reason="bad_message"}') == status.refused["bad_message"]
     assert live.metric('roughmap_messages_missing_total{robot="rover1"}') == status.gaps["rover1"] == 3
@@ -85,7 +89,9 @@ def test_health_asks_the_page_or_over_zenoh(
     monkeypatch.chdir(tmp_path)
     for listen in (live.url.removeprefix("http://"), '""', "127.0.0.1:0"):
         assert asked(live, "health", listen=listen) == 0
-        assert capsys.readouterr().out == "site: ok\n", listen
+        first, *rest = capsys.readouterr().out.splitlines()
+        assert first == "site: ok", listen
+        assert all(line.startswith("site: recently: robot rover1: ") for line in rest)
     assert asked(live, "health", "--set", "map.name=other", "--json", listen='""') == 1
     told = json.loads(capsys.readouterr().out)
     assert told["works"] is False

@@ -29,6 +29,9 @@ CONFIG = Config.model_validate(
 )
 
 
+SENSOR = "robot r1 sensor lidar"
+
+
 class Watch:
     """Streams with a clock that the test moves, and the events of the log lines about them."""
 
@@ -47,8 +50,13 @@ class Watch:
         return lambda: self.streams.cloud("r1", "lidar", outcome, accepted, rejected)
 
     @property
-    def said(self) -> list[tuple[str, str]]:
+    def lines(self) -> list[tuple[str, str]]:
         return [(getattr(record, "event", ""), record.getMessage()) for record in self._lines.records]
+
+    @property
+    def said(self) -> list[tuple[str, str]]:
+        """What was said of problems."""
+        return [line for line in self.lines if line[0] != "lost_some"]
 
 
 @pytest.fixture
@@ -96,6 +104,28 @@ def test_every_reason_is_told_once_with_subject_and_remedy(kind: str, reason: st
         assert "none of its last 10 " in text
 
 
+@pytest.mark.parametrize(("kind", "reason"), every_reason())
+def test_a_single_loss_is_listed_for_a_minute_and_logged_once(kind: str, reason: str, watch: Watch) -> None:
+    for _ in range(3):
+        lose(watch.streams, kind, reason)
+        watch.now += 7
+    ((subject, text),) = watch.streams.recent.told().items()
+    assert subject == ("robot r1" if kind == "pose" or reason in ("bad_key", "unknown_robot") else SENSOR)
+    assert text.startswith(f"{subject}: ")
+    assert text.endswith(" (3 times, last 7 s ago)")
+    once = [] if kind == "refused" else [("lost_some", text.removesuffix(" (3 times, last 7 s ago)"))]
+    assert watch.lines == once  # each refusal has a line of its own
+    watch.now += 60
+    assert (watch.streams.recent.told(), watch.streams.problems()) == ({}, {})
+
+
+def test_equal_points_are_listed_though_the_cloud_is_mapped(watch: Watch) -> None:
+    watch.streams.cloud("r1", "lidar", "integrated", 900, {"duplicate_return": 100, "no_return": 50})
+    (text,) = watch.streams.recent.told().values()
+    assert text.startswith(f"{SENSOR}: 100 points of a cloud were rejected as duplicate_return")
+    assert watch.streams.problems() == {}
+
+
 def test_what_is_wrong_with_the_service_is_not_told_of_the_sender(watch: Watch) -> None:
     for reason in SERVICES_OWN:
         watch.feed(lambda reason=reason: watch.streams.refused("r1", "odometry", reason, ""))  # type: ignore[misc]
@@ -138,12 +168,12 @@ def test_figures_are_looked_up_only_for_a_sentence_and_renewed(watch: Watch) -> 
 
     watch.feed(lambda: watch.streams.cloud("r1", "lidar", "late", 0, {}, look), 50)
     (text,) = watch.streams.problems().values()
-    assert len(looked) == 1
-    assert text.endswith("; figure 1; remedy 1")
+    assert len(looked) == 2, "for the first one, and when they became a problem"
+    assert text.endswith("; figure 2; remedy 2")
     watch.now += RENEWED
     watch.feed(lambda: watch.streams.cloud("r1", "lidar", "late", 0, {}, look), 2)
     (text,) = watch.streams.problems().values()
-    assert text.endswith("; figure 2; remedy 2")
+    assert text.endswith("; figure 3; remedy 3")
     assert len(watch.said) == 1, "the line is not repeated"
 
 

@@ -39,7 +39,7 @@ def times_change(random: Random) -> Fault:
 
     name, unit = {"end": ("time", "s"), "absolute": ("timestamp", "s"), "us": ("offset_time", "us")}[form]
     names = Names(
-        log=("sensor_time", f"'{name}' in {unit}"), verdict="ok",
+        log=("sensor_time", f"'{name}' in {unit}"), health=f"'{name}' in {unit}", verdict="ok", lasting=False,
         doctor=rf"points in '{name_of(sensor)}' have times: {name} .* in {unit}",
     )  # fmt: skip
     return Fault(of_clouds(sensor, convert), names, f"{sensor} to {name} in {unit}", sensor)
@@ -65,8 +65,9 @@ def equal_points(random: Random) -> Fault:
         return [replace(m, points=np.concatenate([m.points, np.tile(at, (number, 1))]), times=times)]
 
     names = Names(
-        count="points duplicate_return", doctor=rf"points of a cloud in '{name_of(sensor)}' are equal",
-        advice=r"\(0, 0, 0\) or NaN", verdict="note",
+        log=("lost_some duplicate_return", r"\d+ points of a cloud"), health=r"rejected as duplicate_return",
+        doctor=rf"points of a cloud in '{name_of(sensor)}' are equal",
+        advice=r"\(0, 0, 0\) or NaN", verdict="note", lasting=False,
     )  # fmt: skip
     return Fault(of_clouds(sensor, add), names, f"{sensor}, {number}", sensor)
 
@@ -109,7 +110,7 @@ def excluded(random: Random) -> Fault:
 def losses(random: Random) -> Fault:
     share, chance = random.uniform(0.15, 0.5), Random(random.random())
     names = Names(
-        log=("gap", "miss|lost|number"), doctor=r"of \d+ (clouds|poses) were lost on the way", advice="BLOCK",
-        of_sensor=False,
+        log=("gap", "lost on the way"), health="lost on the way",
+        doctor=r"of \d+ (clouds|poses) were lost on the way", advice="BLOCK", lasting=False, of_sensor=False,
     )  # fmt: skip
     return Fault(lambda m: [replace(m, lost=chance.random() < share)], names, f"{100 * share:.0f} %")

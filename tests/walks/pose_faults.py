@@ -14,7 +14,10 @@ from walker import Effect, Message
 
 def leap(random: Random) -> Fault:
     to = random.uniform(0.6, 5.0) * random.choice((-1, 1))
-    names = Names(log=("leap", r"leapt \d+\.\d\d m"), doctor="odometry leapt by", advice="odom", of_sensor=False)
+    names = Names(
+        log=("leap", r"leapt \d+\.\d\d m"), health=r"its pose leapt \d+\.\d\d m", doctor="odometry leapt by",
+        advice="odom", lasting=False, of_sensor=False,
+    )  # fmt: skip
 
     def move(m: Message) -> list[Message]:
         x, y, z = m.position
@@ -45,7 +48,10 @@ def restarts_at_origin(random: Random) -> Fault:
         x, y, z = (p - f for p, f in zip(m.position, first[0], strict=True))
         return [replace(m, position=(x, y, z))]
 
-    names = Names(log=("leap", r"leapt \d+\.\d\d m"), doctor="odometry leapt by", advice="odom", of_sensor=False)
+    names = Names(
+        log=("leap", r"leapt \d+\.\d\d m"), health=r"its pose leapt \d+\.\d\d m", doctor="odometry leapt by",
+        advice="odom", lasting=False, of_sensor=False,
+    )  # fmt: skip
     return Fault(of_odometry(restart), names)
 
 
@@ -154,7 +160,7 @@ def covariance_unknown(random: Random) -> Fault:
         told, matrix = "-1", np.zeros((6, 6))
         matrix[0, 0] = -1.0
     names = Names(
-        log=("covariance_unknown", "input.pose_sigma stands in"), doctor="have no estimate of", advice="pose_sigma",
-        of_sensor=False,
+        log=("covariance_unknown", "input.pose_sigma stands in"), health="does not estimate all of its covariance",
+        doctor="have no estimate of", advice="pose_sigma", lasting=False, of_sensor=False,
     )  # fmt: skip
     return Fault(_covariance(matrix), names, told)

@@ -14,14 +14,18 @@ from walker import SENSORS, Message
 def clock_back(random: Random) -> Fault:
     step = math.exp(random.uniform(math.log(0.3), math.log(10.0)))
     names = Names(
-        log=("clock_reset", "went back"), doctor=r"stamps of .* went back by", advice="slewing", of_sensor=False
-    )
+        log=("clock_reset", "went back"), health="stamps went back", doctor=r"stamps of .* went back by",
+        advice="slewing", lasting=False, of_sensor=False,
+    )  # fmt: skip
     return Fault(lambda m: [m.later(-step)], names, f"by {step:.2f} s")
 
 
 def clock_forward(random: Random) -> Fault:
     step = random.uniform(2.0, 10.0)
-    names = Names(doctor="leapt ahead by", advice="slewing", of_sensor=False)
+    names = Names(
+        log=("clock_forward", rf"leapt {step:.1f} s forward"), health=r"leapt \d+\.\d s forward",
+        doctor="leapt ahead by", advice="slewing", lasting=False, of_sensor=False,
+    )  # fmt: skip
     return Fault(lambda m: [m.later(step)], names, f"by {step:.2f} s")
 
 
@@ -68,7 +72,10 @@ def cloud_frozen(random: Random) -> Fault:
 def wild_stamps(random: Random) -> Fault:
     ahead, phase = random.choice((3600.0, 86400.0, 60.0)), random.randrange(8)
     numbers = iter(range(1 << 62))
-    names = Names(count="poses ahead", doctor=r"poses have wild stamps", of_sensor=False)
+    said = r"far ahead of the others; [\d.]+ s ahead"
+    names = Names(
+        log=("lost_some ahead", said), health=said, doctor=r"poses have wild stamps", lasting=False, of_sensor=False
+    )
     effect = of_odometry(lambda m: [m.later(ahead if next(numbers) % 8 == phase else 0.0)])
     return Fault(effect, names, f"one in 8 by {ahead:g} s")
 

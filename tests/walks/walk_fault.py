@@ -19,12 +19,12 @@ Begins = Literal["before", "meanwhile", "first"]
 
 @dataclass(frozen=True)
 class Names:
-    """Who names a fault: regular expressions. An empty one: by its nature the fault costs nothing worth it there.
+    """Who names a fault: regular expressions. All are empty where there is no fault.
 
-    ``log``: "event" or "event reason" of a log line, then words of its text. ``health``: the sentence in `problems`.
-    ``doctor``: the text of a finding; ``advice``: its remedy and settings; by ``verdict``. ``count``: what the status
-    counts instead of a log line, such as "poses ahead". ``of_sensor``: the subject is the sensor, else the robot.
-    ``time_offset``: the right one, wherever one is advised.
+    ``log``: "event" or "event reason" of a log line, then words of its text. ``health``: the sentence in `problems`, or
+    in `recent` if the fault is not ``lasting``. ``doctor``: the text of a finding; ``advice``: its remedy and settings;
+    by ``verdict``. ``of_sensor``: the subject is the sensor, else the robot. ``time_offset``: the right one, wherever
+    one is advised.
     """
 
     log: tuple[str, str] | None = None
@@ -32,7 +32,7 @@ class Names:
     doctor: str = ""
     advice: str = ""
     verdict: Literal["ok", "note", "wrong"] = "wrong"
-    count: str = ""
+    lasting: bool = True
     of_sensor: bool = True
     time_offset: float = 0.0
 

@@ -13,7 +13,7 @@ def cell(walk: Walk, who: str, limit: float) -> str:
     """ "yes 1.2", "NO", or "-" where it need not be named."""
     names = walk.fault.names
     asked = {
-        "log": names.log or names.count, "health": names.health, "doctor": names.doctor,
+        "log": names.log, "health": names.health, "doctor": names.doctor,
         "ended": walk.told.health is not None and walk.kind.ends, "pasted": "pasted" in walk.told.said,
     }  # fmt: skip
     if not asked[who]:

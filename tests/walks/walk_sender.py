@@ -75,7 +75,7 @@ class Walk:
         """Who has not named it."""
         names, told, walk_ends = self.fault.names, self.told, self.kind.ends
         who = {
-            "log": (names.log or names.count) and told.log is None,
+            "log": names.log and told.log is None,
             "health": names.health and told.health is None,
             "doctor": names.doctor and told.doctor is None,
             "end": names.health and walk_ends and told.ended is None,

@@ -99,7 +99,6 @@ class Batch:
         self.client = RoughMapClient("site", session=session, timeout=WAIT_S)
         self.first_line = len(service.err)
         self._looked_at = self.first_line
-        self._first_counts = self.client.status()
 
     def go(self, limit: float) -> None:
         """Walk; wait at most ``limit`` seconds for each to be named, and for each problem to end."""
@@ -182,9 +181,7 @@ class Batch:
         now = time.time()
         for walk in self.walks:
             names, told = walk.fault.names, walk.told
-            sentence = status.problems.get(walk.subject, "")
-            if walk.on and names.count and told.log is None and counted(status, self._first_counts, names.count):
-                told.log, told.said["log"] = now - walk.begun, f"counted as {names.count}"
+            sentence = (status.problems if names.lasting else status.recent).get(walk.subject, "")
             if walk.on and sentence:
                 if names.health and told.health is None and named(names, names.health, sentence):
                     told.health, told.said["health"] = now - walk.begun, sentence
@@ -202,7 +199,8 @@ class Batch:
 
     def _may_be(self, walk: Walk, subject: str) -> bool:
         """Whether this may be a problem: that of the fault, or what follows from it. After the end, what ends it."""
-        if walk.fault.names.health and (subject == walk.subject or walk.ended):
+        names = walk.fault.names
+        if names.health and names.lasting and (subject == walk.subject or walk.ended):
             return True
         return walk.kind.costs == "sensors" and subject.startswith(walk.robot)
 
@@ -233,13 +231,6 @@ def named(names: Names, words: str, text: str) -> bool:
     """Whether a text has the words, and the right time_offset if it has any."""
     offsets = [float(number) for number in re.findall(r"time_offset = (-?[\d.]+\d)", text)]
     return bool(re.search(words, text)) and all(abs(one - names.time_offset) < NEAR_S for one in offsets)
-
-
-def counted(status: MapStatus, before: MapStatus, what: str) -> bool:
-    """Whether something was counted: "poses ahead"."""
-    kind, reason = what.split()
-    now, first = getattr(status, kind).rejected, getattr(before, kind).rejected
-    return bool(now.get(reason, 0) > first.get(reason, 0))
 
 
 @contextmanager

@@ -22,8 +22,11 @@ TIMEOUT_S = 3.0
 WORKS = {str(problem) for problem in (Problem.OVERLOADED, *NOT_BLOCKING)}
 """Problems with which a service still works. A failed check may restart the service, which would not help here."""
 
-MAX_ANSWER = 1 << 16
+MAX_ANSWER = 1 << 18
 """Bytes of an answer that are read; a readiness page is smaller."""
+
+Found = tuple[dict[str, str], dict[str, str]]
+"""The problems, each with its cause, and by subject what happened lately."""
 
 
 @click.command
@@ -32,9 +35,10 @@ MAX_ANSWER = 1 << 16
 def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], as_json: bool) -> int:
     """roughmap health
 
-    Check that the service of this configuration works, and print a line for each problem, or ok. Exit code 0 if it
-    works; 1 if it is not reachable, not ready or can't write its log. An overloaded service works, and so does one that
-    can't write its store (its log has everything), or to which a robot sends what it can't use.
+    Check that the service of this configuration works, and print a line for each problem, or ok. Lines that begin with
+    "recently" tell what happened to a robot or a sensor within the last minute. Exit code 0 if it works; 1 if it is
+    not reachable, not ready or can't write its log. An overloaded service works, and so does one that can't write its
+    store (its log has everything), or to which a robot sends what it can't use.
 
     The check reads the page /readyz. If http.listen is off or its port is 0, it asks over Zenoh.
     """
@@ -43,16 +47,16 @@ def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], a
     listen = config.http.listen
     by_http = listen is not None and not listen.endswith(":0")
     try:
-        problems = _ask_page(config) if by_http else _ask_status(loaded)
+        problems, recent = _ask_page(config) if by_http else _ask_status(loaded)
     except Failure as error:
-        problems = {"not_there": error.message}
+        problems, recent = {"not_there": error.message}, {}
     works = not problems.keys() - WORKS
     if as_json:
-        click.echo(json.dumps({"works": works, "map": config.map.name, "problems": problems}))
+        click.echo(json.dumps({"works": works, "map": config.map.name, "problems": problems, "recent": recent}))
     else:
         shown = [f"{name}: {line}" for name, cause in problems.items() for line in cause.split("\n") if line]
         shown += [name for name, cause in problems.items() if not cause]
-        for line in shown or ["ok"]:
+        for line in [*(shown or ["ok"]), *(f"recently: {text}" for text in recent.values())]:
             click.echo(printable(f"{config.map.name}: {line}"))
     return 0 if works else 1
 
@@ -66,13 +70,13 @@ def served_map(config: Config) -> str | None:
         return None
 
 
-def _ask_page(config: Config) -> dict[str, str]:
-    """Return the problems on the readiness page, each with its cause."""
+def _ask_page(config: Config) -> Found:
+    """Return what the readiness page says."""
     try:
-        problems: dict[str, str] = dict(_page(config, "/readyz")["problems"])
-    except (ValueError, LookupError, TypeError):
+        page = _page(config, "/readyz")
+        return dict(page["problems"]), dict(page.get("recent", {}))  # a service of an earlier version has no second
+    except (AttributeError, ValueError, LookupError, TypeError):
         raise _no_service(reachable(config.http.listen or "")) from None
-    return problems
 
 
 def _no_service(where: str) -> Failure:
@@ -96,8 +100,8 @@ def _page(config: Config, path: str) -> Any:
         connection.close()
 
 
-def _ask_status(loaded: LoadedConfig) -> dict[str, str]:
-    """Return the problems in the status over Zenoh, each with its cause."""
+def _ask_status(loaded: LoadedConfig) -> Found:
+    """Return what the status over Zenoh says."""
     from roughmap_client import RoughMapClient
     from roughmap_client.errors import RoughMapError
     from roughmap_service.cli.connection import client_config, if_guarded, open_client
@@ -111,9 +115,9 @@ def _ask_status(loaded: LoadedConfig) -> dict[str, str]:
             hint = f"is the map {config.map.name!r} served there?{if_guarded(zenoh_config)}"
             raise Failure(f"{error}; {hint}") from None
     if status.health != "ok" and not status.problems:  # a service of an earlier version
-        return {str(status.health): "the cause is in its log lines and, if http.listen is on, on /readyz"}
+        return {str(status.health): "the cause is in its log lines and, if http.listen is on, on /readyz"}, {}
     found: dict[str, str] = {}
     for subject, text in status.problems.items():
         name = str(next((problem for problem, of in SUBJECTS.items() if of == subject), Problem.INPUT_LOST))
         found[name] = f"{found[name]}\n{text}" if name in found else text
-    return found
+    return found, status.recent

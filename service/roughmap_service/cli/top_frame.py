@@ -113,11 +113,13 @@ def _head(status: MapStatus, silent_s: float) -> Text:
 
 
 def _problems(status: MapStatus) -> list[RenderableType]:
-    """Return a line for each problem: its sentence, with the subject if it does not begin with that."""
+    """Return a line for each problem: its sentence, with the subject if it does not begin with that. Then those on what
+    happened lately."""
     shown = []
     for subject, text in status.problems.items():
         line = text if text.startswith(subject) else f"{subject}: {text}"
         shown.append(Text(printable(line), "yellow"))
+    shown += [Text(printable(text), "dim") for text in status.recent.values()]
     return [Text(), *shown] if shown else []
 
 

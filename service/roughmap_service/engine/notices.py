@@ -4,6 +4,7 @@ import logging
 import math
 from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 from roughmap_schemas import Config, Odometry, PoseReason, SensorTimeEvent, Transform
 from roughmap_service.engine.figures import pose_figures
@@ -58,7 +59,7 @@ class Notices:
                 f"robot {robot}: its transform {content.parent_frame_id} -> {content.child_frame_id} jumped; "
                 "ground that is already mapped does not move"
             )
-            note(logger, logging.WARNING, "jump", text, robot=robot, child_frame_id=content.child_frame_id)
+            self._tell(f"robot {robot}", "jump", text, robot=robot, child_frame_id=content.child_frame_id)
 
     def sensor(self, robot: str, frame_id: str, config: Config) -> None:
         """Notice what the last cloud of a sensor shows of its clock."""
@@ -82,7 +83,7 @@ class Notices:
         self._streams.remark(subject, "clock", text)
         if late:
             text = f"{subject}: its clouds come {late} s later than at first: a slower way, or its clock fell behind"
-            note(logger, logging.WARNING, "sensor_late", text, robot=robot, frame_id=frame_id, seconds=late)
+            self._tell(subject, "sensor_late", text, robot=robot, frame_id=frame_id, seconds=late)
 
     def times(self, found: SensorTimeEvent | NoTimes, config: Config) -> None:
         """Notice how a sensor's times are read, or that it is unclear."""
@@ -93,13 +94,18 @@ class Notices:
                 if found.field
                 else f"{sensor}: points have no times of their own; all lie at the cloud's stamp"
             )
-            note(logger, logging.INFO, "sensor_time", text, robot=found.robot, frame_id=found.frame_id)
+            self._tell(sensor, "sensor_time", text, logging.INFO, robot=found.robot, frame_id=found.frame_id)
             self._unclear.discard((found.robot, found.frame_id))
         elif (found.robot, found.frame_id) not in self._unclear:  # once: that clouds are lost is told by the streams
             self._unclear.add((found.robot, found.frame_id))
             remedy = time_form_remedy(found.seen, sensor_table(config, found.robot, found.frame_id))
             text = f"{sensor}: what the times of its points mean is unclear: {found.seen}; {remedy}"
             note(logger, logging.WARNING, "time_form", text, robot=found.robot, frame_id=found.frame_id)
+
+    def _tell(self, subject: str, event: str, text: str, level: int = logging.WARNING, **fields: Any) -> None:
+        """Log what happened once, and list it for a while; ``text`` begins with the subject."""
+        note(logger, level, event, text, **fields)
+        self._streams.recent.add(subject, event, lambda: text)
 
     def _two_sources(self, robot: str) -> None:
         """Tell that a robot's odometry comes from two sources, and that it no longer does."""
@@ -127,11 +133,11 @@ class Notices:
                 f"robot {robot}: its stamps went back: its clock was set, a recording began again, or two programs "
                 "publish its odometry; its poses begin anew, and clouds from before are rejected"
             )
-            note(logger, logging.WARNING, "clock_reset", text, robot=robot)
+            self._tell(f"robot {robot}", "clock_reset", text, robot=robot)
         self._two_sources(robot)
         if taken.verdict is Verdict.FORWARD and taken.leapt_s > 0.0:
             text = f"robot {robot}: its clock leapt {taken.leapt_s:.1f} s forward, or it sent no pose for as long"
-            note(logger, logging.WARNING, "clock_forward", text, robot=robot, seconds=taken.leapt_s)
+            self._tell(f"robot {robot}", "clock_forward", text, robot=robot, seconds=taken.leapt_s)
         if taken.leap is not None:
             leap = taken.leap
             self._counters.jump(robot)
@@ -141,8 +147,8 @@ class Notices:
                 "localisation's corrections as a transform, or raise input.max_leap if the robot moves like that"
             )
             metres = leap.metres if math.isfinite(leap.metres) else None  # JSON has no infinity
-            note(logger, logging.WARNING, "leap", text, robot=robot, metres=metres, seconds=leap.seconds)
+            self._tell(f"robot {robot}", "leap", text, robot=robot, metres=metres, seconds=leap.seconds)
         if taken.unestimated and robot not in self._unestimated:
             self._unestimated.add(robot)
             text = f"robot {robot}: its odometry does not estimate all of its covariance; input.pose_sigma stands in"
-            note(logger, logging.INFO, "covariance_unknown", text, robot=robot)
+            self._tell(f"robot {robot}", "covariance_unknown", text, logging.INFO, robot=robot)

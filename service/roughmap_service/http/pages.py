@@ -40,8 +40,10 @@ def application(sources: Sources) -> Starlette:
     async def readyz(request: Request) -> Response:
         problems = sources.readiness.problems()
         ready = is_ready(problems)
-        shown = problems if request.scope[AUTHORISED] else dict.fromkeys(problems, "")
-        return JSONResponse({"ready": ready, "problems": shown}, 200 if ready else 503)
+        shown = {"problems": problems, "recent": sources.recent()}
+        if not request.scope[AUTHORISED]:
+            shown = {"problems": dict.fromkeys(problems, "")}
+        return JSONResponse({"ready": ready, **shown}, 200 if ready else 503)
 
     def metrics(_: Request) -> Response:
         if sources.metrics is None:
@@ -61,7 +63,8 @@ def application(sources: Sources) -> Starlette:
 
 def _page(status: MapStatus, readiness: Readiness) -> str:
     causes = [escape(line) for cause in readiness.problems().values() for line in cause.split("\n")]
-    why = "<br>".join(causes) or "accepting messages and answering queries"
+    causes = causes or ["accepting messages and answering queries"]
+    why = "<br>".join([*causes, *(f"recently: {escape(text)}" for text in status.recent.values())])
     rows = {
         "sequence": f"{status.sequence}, on disk up to {status.durable_sequence}",
         "up for": f"{status.uptime_s:.0f} s",

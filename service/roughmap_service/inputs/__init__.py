@@ -6,7 +6,7 @@
     queue.py           the input queue: bounded, fair between robots
     admission.py       the checks before a message is logged; how a refused one is counted and shown
     streams.py         what became of each robot's and sensor's messages; losses.py: when they count as lost;
-                       remedies.py: what is told then
+                       remedies.py: what is told then; recent.py: what happened once, within the last minute
     receipts.py        the answers to ingest requests
 
 A new kind of input: ARCHITECTURE.md lists all places, from its codec to `Run.take`.

@@ -182,6 +182,13 @@ def sentence(
     return shortened(f"{text}: {'; '.join([*parts, remedy] if remedy else parts)}")
 
 
+def equal_points(config: Config, subject: Subject, number: int) -> str:
+    """Return what is told of a cloud of which ``number`` points were rejected for being equal."""
+    reason = PointReason.DUPLICATE_RETURN
+    remedy = POINT_REMEDIES[reason].format_map(_words(config, subject))
+    return f"{subject}: {number} points of a cloud were rejected as {reason} ({MEANING[PointReason][reason]}): {remedy}"
+
+
 def shortened(text: str, most: int = MAX_TEXT) -> str:
     """Return the text, its middle left out if it is longer than that: cause and remedy stand at its ends."""
     return text if len(text) <= most else f"{text[: most // 2 - 3]} ... {text[3 - most // 2 :]}"
@@ -205,9 +212,11 @@ def _words(config: Config, subject: Subject) -> dict[str, str]:
 
 def _messages_lost(last: Sequence[Outcome], what: str, done: str) -> str:
     number, bad = len(last), sum(outcome.cause is not None for outcome in last)
+    if number == 1:
+        return f"its last {what.removesuffix('s')} was not {done}"
     if bad == number:
         return f"none of its last {number} {what} was {done}"
-    return f"{bad} of its last {number} {what} were not {done}"
+    return f"{bad} of its last {number} {what} {'was' if bad == 1 else 'were'} not {done}"
 
 
 def _points_lost(last: Sequence[Outcome], cause: Cause) -> str:
@@ -216,6 +225,8 @@ def _points_lost(last: Sequence[Outcome], cause: Cause) -> str:
     rejected = sum(outcome.rejected.get(cause.reason, 0) for outcome in lost)
     points = sum(outcome.accepted + sum(outcome.rejected.values()) for outcome in lost)
     share = min(100.0 * rejected / points, 100.0 if rejected == points else 99.9) if points else 100.0
-    clouds = f"the last {len(last)} clouds" if len(lost) == len(last) else f"{len(lost)} of its last {len(last)} clouds"
+    number = len(last)
+    clouds = f"the last {number} clouds" if len(lost) == number else f"{len(lost)} of its last {number} clouds"
+    clouds = clouds if number > 1 else "its last cloud"
     meaning = MEANING[PointReason][cause.reason]
     return f"{share:.3g} % of the points of {clouds} were rejected as {cause.reason} ({meaning})"

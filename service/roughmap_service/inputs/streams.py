@@ -8,12 +8,14 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Final
 
 from roughmap_schemas import Config
-from roughmap_schemas.reasons import Refusal
+from roughmap_schemas.reasons import PointReason, Refusal
 from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.losses import SILENT, Cause, Losses, Outcome, cloud_cause
+from roughmap_service.inputs.recent import Recent
 from roughmap_service.inputs.remedies import (
     ANY_CLOUDS,
     CLOUDS,
@@ -23,6 +25,7 @@ from roughmap_service.inputs.remedies import (
     TRANSFORMS,
     Figures,
     Subject,
+    equal_points,
     sentence,
     shortened,
 )
@@ -78,7 +81,10 @@ class _Watched:
 
 
 class Streams:
-    """Watches what became of messages; any thread may call it. It never waits longer than for a log line."""
+    """Watches what became of messages; any thread may call it. It never waits longer than for a log line.
+
+    ``recent`` has what happened lately and is no problem as long as it does not go on.
+    """
 
     def __init__(self, config: Config, clock: Callable[[], float] = time.monotonic) -> None:
         self._config = config
@@ -87,6 +93,7 @@ class Streams:
         self._watched: dict[Subject, _Watched] = {}
         self._next_sweep = 0.0
         self._strangers = 0
+        self.recent = Recent(clock)
 
     def cloud(
         self,
@@ -103,6 +110,12 @@ class Streams:
         cause = cloud_cause(outcome, accepted, rejected)
         self._take(Subject(robot, frame_id[:MAX_NAME]), CLOUDS, cause, figures, accepted=accepted, rejected=rejected)
         self._take(Subject(robot), ANY_CLOUDS, None, known_only=True)
+        equal = rejected.get(PointReason.DUPLICATE_RETURN, 0)
+        if equal and cause is None:
+            subject = Subject(robot, frame_id[:MAX_NAME])
+            say = partial(equal_points, self._config, subject, equal)
+            if text := self.recent.add(str(subject), PointReason.DUPLICATE_RETURN, say):
+                _note_some(subject, PointReason.DUPLICATE_RETURN, text)
 
     def pose(self, robot: str, reason: str | None, figures: FindFigures = Figures) -> None:
         """Count an odometry message whose fate is settled; ``reason`` is None if its pose was taken."""
@@ -196,11 +209,18 @@ class Streams:
             losses, before = stream.losses, stream.losses.lost
             outcome = Outcome(now, cause, accepted, rejected)
             losses.add(outcome)
-            lost = losses.lost
-            if lost == before and (lost is None or now - stream.told_at < RENEWED or cause != lost):
-                return
-            stream.told_at = now
-            stream.told = "" if lost is None else self._sentence(subject, kind, lost, losses, figures)
+            lost, some = losses.lost, None
+            if lost is None and cause is not None:
+                say = partial(self._sentence, subject, kind, cause, losses, figures)
+                some = self.recent.add(str(subject), cause.reason, say)
+            changed = lost != before or (lost is not None and now - stream.told_at >= RENEWED and cause == lost)
+            if changed:
+                stream.told_at = now
+                stream.told = "" if lost is None else self._sentence(subject, kind, lost, losses, figures)
+        if some is not None and cause is not None and cause.kind != "refused":  # each refusal has its line
+            _note_some(subject, cause.reason, some)
+        if not changed:
+            return
         if lost is None:
             text = f"{subject}: {RESTORED[kind]}"
             note(logger, logging.INFO, "stream_restored", text, robot=subject.robot, subject=str(subject))
@@ -272,6 +292,11 @@ def limited(problems: dict[str, str]) -> dict[str, str]:
     kept = dict(list(problems.items())[: MAX_PROBLEMS - 1])
     number = len(problems) - len(kept)
     return {**kept, "others": f"{number} more problems; the log lines stream_lost and remark tell each"}
+
+
+def _note_some(subject: Subject, reason: str, text: str) -> None:
+    """Log that messages or points are lost here and there."""
+    note(logger, logging.INFO, "lost_some", text, robot=subject.robot, reason=str(reason), subject=str(subject))
 
 
 def _parsed(subject: str) -> Subject:

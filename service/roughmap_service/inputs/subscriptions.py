@@ -125,6 +125,7 @@ class ZenohInputs:
         if lost:
             self._counters.gap(robot, lost)
             text = f"robot {robot}: {lost} {kind.value} messages lost on the way"
+            self._streams.recent.add(f"robot {robot}", f"gap {kind.value}", lambda: text)
             note(logger, logging.WARNING, "gap", text, robot=robot, kind=kind.value, missing=lost)
 
 

@@ -72,6 +72,7 @@ def connect_pages(
 ) -> None:
     """Make the pages show these parts."""
     sources.readiness.become(parts.problems)
+    sources.recent = parts.streams.recent.told
     if sources.url is None:
         return
     from roughmap_service.watch.metrics import Disk, Metrics, PartFigures  # noqa: PLC0415 - needed with pages only

@@ -134,5 +134,6 @@ class Sources:
     readiness: Readiness
     map: str = ""
     url: str | None = None
+    recent: Callable[[], Mapping[str, str]] = dict
     status: Callable[[], MapStatus] | None = None
     metrics: Callable[[], bytes] | None = None

@@ -43,7 +43,8 @@ PERIOD_SECONDS = 1.0
 class RunProgress:
     """The part of the status that the running parts report, at one moment.
 
-    ``problems`` are the service's, each with its cause; ``lost`` are the sentences on robots and sensors.
+    ``problems`` are the service's, each with its cause; ``lost`` are the sentences on robots and sensors,
+    ``recent`` those on what happened to them lately.
     """
 
     durable_sequence: int = 0
@@ -52,6 +53,7 @@ class RunProgress:
     waiting: int = 0
     problems: Mapping[Problem, str] = field(default_factory=dict)
     lost: Mapping[str, str] = field(default_factory=dict)
+    recent: Mapping[str, str] = field(default_factory=dict)
     log: LogState = field(default_factory=LogState)
 
 
@@ -119,6 +121,7 @@ class Status:
             gaps=dict(counts.gaps),
             jumps=dict(counts.jumps),
             problems=told(progress.problems, progress.lost),
+            recent=dict(progress.recent),
             lag_s=Lag(p50=lag.p50, p99=lag.p99),
             rates=Rates(clouds=clouds, points=points, poses=poses),
             memory_bytes=memory_bytes(),
