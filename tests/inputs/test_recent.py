@@ -20,10 +20,11 @@ def test_what_happened_last_comes_first_and_subjects_come_once() -> None:
     recent.add("robot b", "gap", say("robot b: 3 poses lost"))
     now = 5.0
     recent.add("robot a", "clock", say("robot a: its clock was set"))
+    assert recent.add("robot b", "gap", say("robot b: 4 poses lost")) is None
     assert recent.add("robot b", "gap", say("never asked for")) is None
     now = 6.0
     assert list(recent.told().items()) == [
-        ("robot b", "robot b: 3 poses lost (2 times, last 1 s ago)"),
+        ("robot b", "robot b: 4 poses lost (3 times, last 1 s ago)"),
         ("robot a", "robot a: its clock was set (1 s ago); leapt (6 s ago)"),
     ]
 

@@ -113,8 +113,10 @@ def test_a_single_loss_is_listed_for_a_minute_and_logged_once(kind: str, reason:
     assert subject == ("robot r1" if kind == "pose" or reason in ("bad_key", "unknown_robot") else SENSOR)
     assert text.startswith(f"{subject}: ")
     assert text.endswith(" (3 times, last 7 s ago)")
-    once = [] if kind == "refused" else [("lost_some", text.removesuffix(" (3 times, last 7 s ago)"))]
-    assert watch.lines == once  # each refusal has a line of its own
+    remedy = text.removesuffix(" (3 times, last 7 s ago)").rsplit("; ")[-1].rsplit(": ")[-1]
+    once = [] if kind == "refused" else ["lost_some"]  # each refusal has a line of its own
+    assert [event for event, _ in watch.lines] == once
+    assert all(line.startswith(f"{subject}: ") and line.endswith(remedy) for _, line in watch.lines)
     watch.now += 60
     assert (watch.streams.recent.told(), watch.streams.problems()) == ({}, {})
 

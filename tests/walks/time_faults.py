@@ -23,7 +23,7 @@ def clock_back(random: Random) -> Fault:
 def clock_forward(random: Random) -> Fault:
     step = random.uniform(2.0, 10.0)
     names = Names(
-        log=("clock_forward", rf"leapt {step:.1f} s forward"), health=r"leapt \d+\.\d s forward",
+        log=("clock_forward", r"leapt \d+\.\d s forward"), health=r"leapt \d+\.\d s forward",
         doctor="leapt ahead by", advice="slewing", lasting=False, of_sensor=False,
     )  # fmt: skip
     return Fault(lambda m: [m.later(step)], names, f"by {step:.2f} s")

@@ -13,7 +13,7 @@ import numpy as np
 
 from roughmap import RoughMap
 from roughmap.cell import TILE_CELLS
-from roughmap_schemas import IntegrationEvent, Odometry, PoseReason, SensorConfig
+from roughmap_schemas import IntegrationEvent, PoseReason, SensorConfig
 from roughmap_service.inputs.losses import cloud_cause
 from roughmap_service.inputs.remedies import Figures, robot_table, sensor_table, time_form_remedy
 from roughmap_service.run.inbox import LoggedCloud
@@ -285,15 +285,15 @@ FINDERS: dict[tuple[str, str], Callable[[LostCloud], Figures]] = {
 """By kind and reason of the cause."""
 
 
-def pose_figures(reason: str | None, odometry: Odometry, robot: Robot, why: str = "") -> Figures:
-    """Return the figures of an odometry that gave no pose; ``why`` as in `OdometryTaken`."""
-    ahead = (odometry.stamp_ns - robot.clock.newest_ns) * 1e-9
+def pose_figures(reason: str | None, stamp_ns: int, frame_id: str, robot: Robot, why: str = "") -> Figures:
+    """Return the figures of an odometry that gave no pose, of that stamp and frame; ``why`` as in `OdometryTaken`."""
+    ahead = (stamp_ns - robot.clock.newest_ns) * 1e-9
     if reason == PoseReason.POSE_FRAME and not why:
         known = ", ".join(f'"{frame}"' for frame in list(robot.transforms.rows)[:KNOWN_FRAMES])
         known = f"transforms are known from {known}" if known else "no transform is known"
-        text = f'their frame is "{odometry.frame_id}"; {known}'
+        text = f'their frame is "{frame_id}"; {known}'
         map_frame = robot.settings.frame_id
-        if odometry.frame_id.strip("/") == map_frame:
+        if frame_id.strip("/") == map_frame:
             return Figures(text, f'write their frame as "{map_frame}"')
         return Figures(text)
     if reason == PoseReason.AHEAD and ahead > 0.0:

@@ -124,9 +124,9 @@ class Notices:
         self._streams.remark(f"robot {robot}", "two_sources", text)
 
     def _odometry(self, robot: str, odometry: Odometry, taken: OdometryTaken) -> None:
-        for reason in taken.settled:
+        for reason, stamp_ns in zip(taken.settled, taken.stamps, strict=True):
             self._counters.pose(reason)
-            figures = partial(pose_figures, reason, odometry, self._states[robot], taken.why)
+            figures = partial(pose_figures, reason, stamp_ns, odometry.frame_id, self._states[robot], taken.why)
             self._streams.pose(robot, reason, figures)
         if taken.ended_from:  # not after a reset, or wild stamps at first: nothing is lost then
             text = (

@@ -9,17 +9,21 @@ from typing import Final
 LISTED: Final = 60.0
 """Seconds for which something is listed after it happened last."""
 
+RENEWED: Final = 1.0
+"""Seconds after which a sentence is made anew if it happens again."""
+
 MAX_LISTED: Final = 32
 """Different things that are listed; the one that happened longest ago gives way."""
 
 
 @dataclass
 class _Happened:
-    """``sentence`` begins with the subject and is of the last time, ``at`` (monotonic s), that it was made."""
+    """What happened ``times``, last ``at`` (monotonic s). ``sentence`` was made at ``told_at``."""
 
     sentence: str
     times: int
     at: float
+    told_at: float
 
 
 class Recent:
@@ -34,14 +38,14 @@ class Recent:
     def add(self, subject: str, name: str, sentence: Callable[[], str]) -> str | None:
         """Take what happened to a subject ("robot r1"). Return its sentence if it was not listed before.
 
-        ``sentence`` begins with the subject; it is called only where it was not listed.
+        ``sentence`` begins with the subject; it is called at most once a second.
         """
         with self._lock:
             now = self._clock()
             self._forget(now)
             known = self._happened.pop((subject, name), None)
-            if known is None:
-                known = _Happened(sentence(), 0, now)
+            if known is None or now - known.told_at >= RENEWED:
+                known = _Happened(sentence(), 0 if known is None else known.times, now, now)
             known.times, known.at = known.times + 1, now
             self._happened[subject, name] = known
             if len(self._happened) > MAX_LISTED:

@@ -27,6 +27,7 @@ class OdometryTaken:
     Attributes:
         settled: what became of each message that is settled now: why it gives no pose, None if it does. Empty while
             this one is held; more than one if others were held before it.
+        stamps: their stamps in ns.
         verdict: what the stamps said.
         ended_from: clouds from this input number on may have been made before the robot's clock went back; 0: none.
         leap: the leap that the pose is.
@@ -36,6 +37,7 @@ class OdometryTaken:
     """
 
     settled: Sequence[PoseReason | None]
+    stamps: Sequence[int] = ()
     verdict: Verdict = Verdict.TAKE
     ended_from: int = 0
     leap: Leap | None = None
@@ -85,7 +87,8 @@ class Robot:
         verdict = self.judge(odometry.stamp_ns)
         if verdict is Verdict.REPEAT:
             frozen = self.clock.count_repeat(number)
-            return OdometryTaken([PoseReason.FROZEN if frozen else PoseReason.DUPLICATE], verdict)
+            reason = PoseReason.FROZEN if frozen else PoseReason.DUPLICATE
+            return OdometryTaken([reason], [odometry.stamp_ns], verdict)
         # After a clock went back, transforms' stamps say nothing: the last one holds.
         back = odometry.stamp_ns <= self.clock.newest_ns and self.clock.taken >= BELIEVED
         last = back and not self.clock.two_sources and not self.clock.anew_from
@@ -93,8 +96,9 @@ class Robot:
         one = Held(odometry.stamp_ns, number, read.pose)
         if verdict is Verdict.HOLD:
             given_up = self.clock.hold(one)
-            settled = [] if given_up is None else [self._given_up(given_up)]
-            return OdometryTaken(settled, verdict, unestimated=read.unestimated, why=read.why)
+            lost = [] if given_up is None else [given_up]
+            settled, stamps = [self._given_up(h) for h in lost], [h.stamp_ns for h in lost]
+            return OdometryTaken(settled, stamps, verdict, unestimated=read.unestimated, why=read.why)
         return replace(self._believe(verdict, one, arrival_ns), unestimated=read.unestimated, why=read.why)
 
     def add_transform(self, transform: Transform, number: int) -> tuple[PoseReason | None, bool]:
@@ -109,7 +113,6 @@ class Robot:
         clock, newest = self.clock, self.clock.newest_ns
         held = clock.release()
         together: list[Held] = []
-        settled: list[PoseReason | None] = []
         ended_from, leapt_ns = 0, 0
         if verdict in (Verdict.FORWARD, Verdict.BACK):
             together = clock.row_of(one.stamp_ns, held, self.settings.max_pose_gap_ns, self.settings.history_ns)
@@ -117,7 +120,8 @@ class Robot:
             leapt_ns = step_ns if step_ns > self.settings.max_pose_gap_ns else 0
         elif clock.two_sources:
             together = [h for h in held if h.stamp_ns <= newest]
-        settled += [self._given_up(h) for h in held if h not in together]
+        lost = [h for h in held if h not in together]
+        settled: list[PoseReason | None] = [self._given_up(h) for h in lost]
         if verdict is Verdict.BACK and clock.anew_from:  # clouds since the map was emptied are of the new time
             self.buffer.clear()
             clock.begin(clock.anew_from, 0)
@@ -136,14 +140,16 @@ class Robot:
         elif verdict is Verdict.TAKE:
             clock.count_mixed(low=any(h.stamp_ns <= newest for h in held))
         leap: Leap | None = None
-        for each in sorted([*together, one], key=lambda h: h.stamp_ns):
+        taken = sorted([*together, one], key=lambda h: h.stamp_ns)
+        for each in taken:
             why_not, leapt = self._insert(each)
             settled.append(why_not)
             leap = leapt or leap
             for sensor in self.sensors.values():
                 sensor.odometry(each.stamp_ns, arrival_ns)
         self.buffer.trim()
-        return OdometryTaken(settled, verdict, ended_from, leap, leapt_s=leapt_ns * 1e-9)
+        stamps = [h.stamp_ns for h in (*lost, *taken)]
+        return OdometryTaken(settled, stamps, verdict, ended_from, leap, leapt_s=leapt_ns * 1e-9)
 
     def _begin_anew(self, number: int, fence_ns: int) -> None:
         self.buffer.clear()
@@ -184,10 +190,10 @@ class Robot:
     def _take_by_stamp(self, odometry: Odometry, number: int) -> OdometryTaken:
         pose = self._read(odometry, number).pose
         if isinstance(pose, PoseReason):
-            return OdometryTaken([pose])
+            return OdometryTaken([pose], [odometry.stamp_ns])
         reason = self.order.add(self.buffer, pose)
         self.clock.newest_ns = self.buffer.poses[-1].stamp_ns
-        return OdometryTaken([reason])
+        return OdometryTaken([reason], [odometry.stamp_ns])
 
     def _read(self, odometry: Odometry, number: int, *, last: bool = False) -> _Read:
         """Return the pose in the map frame, or why there is none; ``last``: by the transform that came last."""
