@@ -55,6 +55,24 @@ def odometry_frozen(random: Random) -> Fault:
     return Fault(of_odometry(freeze), names)
 
 
+def bursts(random: Random) -> Fault:
+    number, together = random.choice((3, 4, 5)), [0, 0]  # messages of the present burst, and its first stamp
+
+    def gather(m: Message) -> list[Message]:
+        if together[0] % number == 0:
+            together[1] = m.stamp_ns
+        stamp = together[1] + together[0] % number * 10**6
+        together[0] += 1
+        return [replace(m, stamp_ns=stamp)]
+
+    said = r"stamped in bursts: about \d poses 1\.0 ms apart, then none for 0\.\d\d s"
+    names = Names(
+        log=("habit bursts", said), health=said, doctor=said, advice="when it is measured", lasting=False,
+        of_sensor=False,
+    )  # fmt: skip
+    return Fault(of_odometry(gather), names, f"of {number}")
+
+
 def cloud_frozen(random: Random) -> Fault:
     sensor, frozen = a_sensor(random), []
 

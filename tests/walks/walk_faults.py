@@ -21,6 +21,7 @@ FAULTS: dict[str, FaultKind] = {
     ),
     "stamps_unset": FaultKind("stamps are not set", time_faults.stamps_unset, costs="sensors"),
     "odometry_frozen": FaultKind("odometry has one stamp", time_faults.odometry_frozen, costs="sensors"),
+    "bursts": FaultKind("odometry is stamped in bursts", time_faults.bursts),
     "cloud_frozen": FaultKind("a sensor's clouds have one stamp", time_faults.cloud_frozen),
     "wild_stamps": FaultKind("wild stamps of poses", time_faults.wild_stamps),
     "two_sources": FaultKind("two sources of odometry out of step", time_faults.two_sources),

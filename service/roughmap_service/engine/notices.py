@@ -2,6 +2,7 @@
 
 import logging
 import math
+import time
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -13,9 +14,11 @@ from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.remedies import sensor_table, time_form_remedy
 from roughmap_service.inputs.streams import Streams
 from roughmap_service.run.decoding import Content
+from roughmap_service.run.habits import BURST_REMEDY, JITTER_REMEDY, find_bursts, find_jitter
 from roughmap_service.run.odometry_clock import Verdict
 from roughmap_service.run.robot import OdometryTaken, Robot
 from roughmap_service.run.run import NoTimes, Taken
+from roughmap_service.run.settings import NS
 
 logger = logging.getLogger(__name__)
 
@@ -24,6 +27,16 @@ ORIGINS = {
     "end": "counted back from the cloud's stamp",
     "absolute": "as times since 1970",
 }
+
+
+LOOKED_AT, LATELY_NS = 400, 2 * NS
+"""Poses of a robot that are looked at for odd habits: so many, of so much time."""
+
+ENOUGH, ENOUGH_NS = 30, NS // 4
+"""The fewest, and the time that they must cover."""
+
+LOOK_S, APART_S = 5.0, 0.2
+"""Seconds between two looks at one robot, and at any two: a look takes up to 8 ms."""
 
 
 class Notices:
@@ -41,6 +54,8 @@ class Notices:
         self._mixed: set[str] = set()
         self._clocks: dict[tuple[str, str], tuple[float, float]] = {}
         self._unclear: set[tuple[str, str]] = set()
+        self._next_look: dict[str, float] = {}
+        self._next_any = 0.0
 
     def message(self, robot: str, content: Content, taken: Taken) -> None:
         """Notice what a logged message led to."""
@@ -123,6 +138,32 @@ class Notices:
             self._mixed.remove(robot)
         self._streams.remark(f"robot {robot}", "two_sources", text)
 
+    def _habits(self, robot: str, frame_id: str) -> None:
+        """Tell now and then what is odd about a robot's odometry though it is taken."""
+        now, state = time.monotonic(), self._states[robot]
+        if now < max(self._next_any, self._next_look.get(robot, 0.0)):
+            return
+        poses = state.buffer.poses[-LOOKED_AT:]
+        poses = [pose for pose in poses if pose.stamp_ns > poses[-1].stamp_ns - LATELY_NS]
+        if len(poses) < ENOUGH or poses[-1].stamp_ns - poses[0].stamp_ns < ENOUGH_NS:
+            return
+        self._next_any, self._next_look[robot] = now + APART_S, now + LOOK_S
+        found = {}
+        if bursts := find_bursts([[pose.stamp_ns for pose in poses]]):
+            found["bursts"] = f"its {bursts}; {BURST_REMEDY}"
+        elif not state.clock.two_sources and (jitter := find_jitter([poses])):
+            found["jitter"] = f"its odometry {jitter}; {JITTER_REMEDY}"
+        ahead = state.transforms.ahead(frame_id, poses[-1].stamp_ns)
+        if ahead > NS:
+            found["transform_ahead"] = (
+                f"the transform to {frame_id!r} is stamped {ahead / NS:,.1f} s later than its poses: it holds as a "
+                "static one; stamp it on the poses' clock, or with 0"
+            )
+        for name, text in found.items():
+            told = f"robot {robot}: {text}"
+            if self._streams.recent.add(f"robot {robot}", name, lambda told=told: told):  # type: ignore[misc]
+                note(logger, logging.WARNING, "habit", told, robot=robot, reason=name)
+
     def _odometry(self, robot: str, odometry: Odometry, taken: OdometryTaken) -> None:
         for reason, stamp_ns in zip(taken.settled, taken.stamps, strict=True):
             self._counters.pose(reason)
@@ -152,3 +193,4 @@ class Notices:
             self._unestimated.add(robot)
             text = f"robot {robot}: its odometry does not estimate all of its covariance; input.pose_sigma stands in"
             self._tell(f"robot {robot}", "covariance_unknown", text, logging.INFO, robot=robot)
+        self._habits(robot, odometry.frame_id)

@@ -7,6 +7,7 @@
                     odometry_clock.py  which odometry is believed, by arrival and stamp
                     covariances.py     what its covariance means
                     leaps.py           poses that no motion explains
+                    habits.py          what is odd about poses that are taken
                     transforms.py      transforms to the map frame
                     poses.py           the buffer of its poses; pose_algebra.py turns them
                     sensor_clock.py    which clouds' stamps are believed

@@ -53,6 +53,11 @@ class Transforms:
             return row[0] if row and oldest else None
         return row[before - 1]
 
+    def ahead(self, frame_id: str, stamp_ns: int) -> int:
+        """Return by how many ns all transforms of a frame are later than a stamp; 0 if one is not, or there is none."""
+        row = self.rows.get(frame_id, [])
+        return max(row[0].stamp_ns - stamp_ns, 0) if row else 0
+
     def last(self, frame_id: str) -> StampedTransform | None:
         """Return a frame's transform that came last; None if there is none."""
         return max(self.rows.get(frame_id, []), key=lambda t: t.input, default=None)

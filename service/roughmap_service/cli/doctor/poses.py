@@ -1,6 +1,5 @@
 """Judges a robot's poses: rate, gaps, frames and transforms, leaps, bursts, jitter."""
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,18 +10,10 @@ import numpy as np
 from roughmap_schemas.config import Config
 from roughmap_service.cli.doctor.findings import Finding, table
 from roughmap_service.cli.doctor.heard import HeardPose, HeardTransform, rate, times
-from roughmap_service.run.leaps import Leap, find_leap, motion_before
+from roughmap_service.run.habits import BURST_REMEDY, JITTER_REMEDY, find_bursts, find_jitter
+from roughmap_service.run.leaps import Leap, find_leap
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.settings import NS
-
-BURST = 0.2
-"""A message that follows so soon belongs to a burst: as a part of the mean time between two."""
-
-MOSTLY = 0.4
-"""Part of the messages that must be in bursts to be told."""
-
-RESTLESS = 5.0
-"""m/s between neighbouring poses beyond the robot's own motion that are noise, and too much."""
 
 MAX_FOLLOWED = 5_000
 """Poses in a row whose motion is followed: the last ones."""
@@ -53,21 +44,16 @@ def judge_poses(robot: str, poses: Sequence[HeardPose], rows: Sequence[Sequence[
             values = {"max_pose_gap": enough, "max_wait": max(enough, config.input.max_wait)}
             settings = table(("input",), values)
         findings.append(Finding(robot, "wrong", text, remedy, settings))
-    burst = _bursts(robot, stamped)
-    findings += burst
+    bursts = find_bursts([[pose.stamp_ns for pose in row] for row in stamped])
+    if bursts is not None:
+        findings.append(Finding(robot, "wrong", str(bursts), BURST_REMEDY))
     for frame in sorted(frames)[:MAX_FRAMES]:
         of_frame = [[pose for pose in row if pose.frame_id == frame] for row in stamped]
-        found, speed, jitter = motion(of_frame, config)
+        followed, found = follow(of_frame, config)
         if found:
             findings.append(_leapt(robot, found, config))
-        elif jitter is not None and not burst:
-            metres, restless = jitter
-            text = (
-                f"odometry in {frame!r} jitters by {metres * 100:.1f} cm from pose to pose: it seems to move at "
-                f"{restless:.0f} m/s, over longer times at {speed:.1f} m/s"
-            )
-            remedy = "publish a filter's output instead of single measurements, or less often"
-            findings.append(Finding(robot, "wrong", text, remedy))
+        elif bursts is None and (jitter := find_jitter(followed)) is not None:
+            findings.append(Finding(robot, "wrong", f"odometry in {frame!r} {jitter}", JITTER_REMEDY))
     return findings
 
 
@@ -76,36 +62,21 @@ def largest_gap(rows: Sequence[Sequence[HeardPose]]) -> float:
     return max((b.stamp_ns - a.stamp_ns for row in rows for a, b in pairwise(row)), default=0) / NS
 
 
-def motion(rows: Sequence[Sequence[HeardPose]], config: Config) -> tuple[list[Leap], float, tuple[float, float] | None]:
-    """Follow poses of one frame, in rows of rising stamps.
-
-    Return the leaps; the median speed in m/s over 0.1 s and more; and how far (m) and how fast (m/s) the poses move
-    from one to the next beside that motion, both medians, if that is restless.
-    """
+def follow(rows: Sequence[Sequence[HeardPose]], config: Config) -> tuple[list[list[Pose]], list[Leap]]:
+    """Follow poses of one frame, in rows of rising stamps. Return them as the service keeps them, and the leaps."""
     limits = config.input.max_leap, config.input.max_acceleration, config.input.max_speed
     leaps: list[Leap] = []
-    speeds: list[float] = []
-    off: list[tuple[float, float]] = []
+    followed: list[list[Pose]] = []
     for row in rows:
-        followed: list[Pose] = []
+        poses: list[Pose] = []
         for heard in row[-MAX_FOLLOWED:]:
-            followed.append(Pose(heard.stamp_ns, heard.position, heard.rotation, None, 0, 0))
-            at = len(followed) - 1
-            leap = find_leap(followed, at, *limits)
+            poses.append(Pose(heard.stamp_ns, heard.position, heard.rotation, None, 0, 0))
+            leap = find_leap(poses, len(poses) - 1, *limits)
             if leap is not None:
                 leaps.append(leap)
-                followed[at] = replace(followed[at], leapt=True)
-            elif (before := motion_before(followed, at)) is not None:
-                speeds.append(math.hypot(*before.velocity))
-                seconds = (followed[at].stamp_ns - followed[at - 1].stamp_ns) * 1e-9
-                moved = [
-                    q - p - v * seconds
-                    for p, q, v in zip(followed[at - 1].position, heard.position, before.velocity, strict=True)
-                ]
-                off.append((math.hypot(*moved), math.hypot(*moved) / seconds))
-    metres, restless = (float(np.median([one[k] for one in off])) if off else 0.0 for k in (0, 1))
-    speed = float(np.median(speeds)) if speeds else 0.0
-    return leaps, speed, (metres, restless) if restless > RESTLESS else None
+                poses[-1] = replace(poses[-1], leapt=True)
+        followed.append(poses)
+    return followed, leaps
 
 
 def _leapt(robot: str, leaps: Sequence[Leap], config: Config) -> Finding:
@@ -120,20 +91,6 @@ def _leapt(robot: str, leaps: Sequence[Leap], config: Config) -> Finding:
         f"{config.map.frame_id!r} to it; if the robot does move so, raise input.max_leap"
     )
     return Finding(robot, "wrong", text, remedy)
-
-
-def _bursts(robot: str, rows: Sequence[Sequence[HeardPose]]) -> list[Finding]:
-    """Judge poses whose stamps come in bursts: they were stamped when they arrived, not when they were measured."""
-    steps = np.array([b.stamp_ns - a.stamp_ns for row in rows for a, b in pairwise(row)], np.float64) / NS
-    if len(steps) < 8:
-        return []
-    short = steps < BURST * steps.mean()
-    if short.mean() < MOSTLY:
-        return []
-    number, apart, pause = 1 / (1 - short.mean()), np.median(steps[short]) * 1e3, np.median(steps[~short])
-    text = f"odometry is stamped in bursts: about {number:.0f} poses {apart:.1f} ms apart, then none for {pause:.2f} s"
-    remedy = "stamp each pose when it is measured, not when it arrives; while it is so, scans are placed by wrong times"
-    return [Finding(robot, "wrong", text, remedy)]
 
 
 def judge_frames(

@@ -1,0 +1,96 @@
+"""What is odd about a robot's poses though they are taken: stamps in bursts, positions that jitter.
+
+Doctor judges what it heard by these, and the service what it keeps. They decide nothing.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from roughmap_service.run.leaps import motion_before
+from roughmap_service.run.poses import Pose
+
+BURST = 0.2
+"""A pose that follows so soon belongs to a burst: as a part of the mean time between two."""
+
+MOSTLY = 0.4
+"""Part of the poses that must be in bursts."""
+
+FEWEST = 8
+"""Steps between poses to judge by."""
+
+RESTLESS = 5.0
+"""m/s between neighbouring poses beyond the robot's own motion that are noise, and too much."""
+
+BURST_REMEDY = (
+    "stamp each pose when it is measured, not when it arrives; while it is so, scans are placed by wrong times"
+)
+JITTER_REMEDY = "publish a filter's output instead of single measurements, or less often"
+
+
+class Bursts(NamedTuple):
+    """About ``number`` poses are stamped ``apart`` s after each other, then none for ``pause`` s."""
+
+    number: float
+    apart: float
+    pause: float
+
+    def __str__(self) -> str:
+        return (
+            f"odometry is stamped in bursts: about {self.number:.0f} poses {self.apart * 1e3:.1f} ms apart, then none "
+            f"for {self.pause:.2f} s"
+        )
+
+
+class Jitter(NamedTuple):
+    """From pose to pose ``metres`` beside the robot's motion, at ``restless`` m/s; it moves at ``speed`` m/s."""
+
+    metres: float
+    restless: float
+    speed: float
+
+    def __str__(self) -> str:
+        return (
+            f"jitters by {self.metres * 100:.1f} cm from pose to pose: it seems to move at {self.restless:.0f} m/s, "
+            f"over longer times at {self.speed:.1f} m/s"
+        )
+
+
+def find_bursts(rows: Sequence[Sequence[int]]) -> Bursts | None:
+    """Return whether rows of rising stamps (ns) come in bursts: when poses arrived, not when they were measured."""
+    steps = np.array([b - a for row in rows for a, b in pairwise(row)], np.float64) * 1e-9
+    if len(steps) < FEWEST:
+        return None
+    short = steps < BURST * steps.mean()
+    if short.mean() < MOSTLY:
+        return None
+    return Bursts(1 / (1 - short.mean()), float(np.median(steps[short])), float(np.median(steps[~short])))
+
+
+def find_jitter(rows: Sequence[Sequence[Pose]]) -> Jitter | None:
+    """Return by how much poses of one frame, in rows of rising stamps, are off the robot's motion; None if by little.
+
+    Poses that leapt are left out.
+    """
+    speeds: list[float] = []
+    off: list[tuple[float, float]] = []
+    for row in rows:
+        for at, pose in enumerate(row):
+            if pose.leapt or (before := motion_before(row, at)) is None:
+                continue
+            speeds.append(math.hypot(*before.velocity))
+            seconds = (pose.stamp_ns - row[at - 1].stamp_ns) * 1e-9
+            moved = math.hypot(
+                *(
+                    q - p - v * seconds
+                    for p, q, v in zip(row[at - 1].position, pose.position, before.velocity, strict=True)
+                )
+            )
+            off.append((moved, moved / seconds))
+    if not off:
+        return None
+    metres, restless = (float(np.median([one[k] for one in off])) for k in (0, 1))
+    return Jitter(metres, restless, float(np.median(speeds))) if restless > RESTLESS else None
