@@ -11,7 +11,7 @@ import zenoh
 
 T = TypeVar("T")
 
-WAIT_S = 30.0
+WAIT_S = 60.0
 """How long a test waits for something that normally happens at once: long enough for a loaded machine."""
 
 

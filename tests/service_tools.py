@@ -49,7 +49,7 @@ T0 = 1_700_000_000 * 10**9
 SECOND = 10**9
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 PRECISE = np.eye(6) * 1e-6
-WAIT_S = 30.0
+WAIT_S = 60.0
 """How long a test waits for something that normally happens at once."""
 
 GROUND = np.array([[1.0, 0.0, -0.5], [1.5, 0.5, -0.4], [2.0, -0.5, -0.6], [1.2, 0.3, -0.5]])

@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -163,9 +163,11 @@ def overload(folder: Path, seconds: float, say: Callable[[str], None], *, rate: 
             back = time.monotonic() - over
         except TimeoutError:
             pass
+        total = sent["clouds"] + sent["poses"]
+        with suppress(TimeoutError):  # what the robots sent last may be on its way
+            _wait(client, lambda now: sum(accounted(now).values()) >= total, 30.0)
         final = client.status()
         there = accounted(final)
-        total = sent["clouds"] + sent["poses"]
         most = max(memory) - before
         half = len(times) // 2
         rose = growth(times[half // 2 :], memory[half // 2 :])
