@@ -285,8 +285,8 @@ class MapStatus(Reply):
     """Leaps of a robot's odometry and of its frame transforms, by robot."""
     problems: Annotated[dict[str, str], Field(max_length=32)] = {}
     """What is wrong, one sentence each with cause and remedy, by subject: "robot r1", "log"."""
-    recent: Annotated[dict[str, str], Field(max_length=32)] = {}
-    """What happened within the last minute and does not make the service degraded, by subject: a pose that leapt."""
+    recent: Annotated[list[str], Field(max_length=32)] = []
+    """What happened within the last minute and does not make the service degraded, a line each: a pose that leapt."""
     lag_s: Lag
     rates: Rates
     memory_bytes: Number

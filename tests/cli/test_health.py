@@ -44,13 +44,13 @@ def test_what_the_service_works_with_is_no_failure_and_all_else_is(
 def test_what_happened_lately_is_no_failure(capsys: pytest.CaptureFixture[str]) -> None:
     readiness = Readiness()
     readiness.become(dict)
-    sources = Sources(readiness, recent=lambda: {"robot r1": "robot r1: its pose leapt 2.50 m (3 s ago)"})
+    sources = Sources(readiness, recent=lambda: ["robot r1: its pose leapt 2.50 m (3 s ago)"])
     with pages(sources) as server:
         where = server.url.removeprefix("http://")
         assert (health(where), health(where, "--json")) == (0, 0)
     first, second, as_json = capsys.readouterr().out.splitlines()
     assert (first, second) == ("site: ok", "site: recently: robot r1: its pose leapt 2.50 m (3 s ago)")
-    assert json.loads(as_json)["recent"] == {"robot r1": "robot r1: its pose leapt 2.50 m (3 s ago)"}
+    assert json.loads(as_json)["recent"] == ["robot r1: its pose leapt 2.50 m (3 s ago)"]
 
 
 def test_nobody_there_is_a_failure_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -37,10 +37,10 @@ def test_readiness_names_what_is_wrong(problem: Problem) -> None:
         ready = problem in (Problem.SNAPSHOT_FAILED, Problem.INPUT_LOST)  # it takes in and answers all the same
         assert status == (200 if ready else 503)
         assert headers["content-type"] == "application/json"
-        assert json.loads(body) == {"ready": ready, "problems": {str(problem): "the cause"}, "recent": {}}
+        assert json.loads(body) == {"ready": ready, "problems": {str(problem): "the cause"}, "recent": []}
         problems.clear()
         status, _, body = get(server, "/readyz")
-        assert (status, json.loads(body)) == (200, {"ready": True, "problems": {}, "recent": {}})
+        assert (status, json.loads(body)) == (200, {"ready": True, "problems": {}, "recent": []})
 
 
 def test_every_answer_carries_the_headers_and_none_says_what_serves_it() -> None:

@@ -10,7 +10,7 @@ from roughmap_schemas import Config
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
 from roughmap_service.host.counters import OTHERS
 from roughmap_service.inputs.admission import frame_of
-from roughmap_service.inputs.remedies import Figures, sensor_table, toml_key
+from roughmap_service.inputs.remedies import Figures, Subject, sensor_table, toml_key
 from roughmap_service.inputs.streams import (
     MAX_PROBLEMS,
     MAX_STRANGERS,
@@ -106,11 +106,13 @@ def test_every_reason_is_told_once_with_subject_and_remedy(kind: str, reason: st
 
 @pytest.mark.parametrize(("kind", "reason"), every_reason())
 def test_a_single_loss_is_listed_for_a_minute_and_logged_once(kind: str, reason: str, watch: Watch) -> None:
+    watch.streams.pose("r1", None)
+    watch.streams.cloud("r1", "lidar", "integrated", 100, {})
     for _ in range(3):
         lose(watch.streams, kind, reason)
         watch.now += 7
-    ((subject, text),) = watch.streams.recent.told().items()
-    assert subject == ("robot r1" if kind == "pose" or reason in ("bad_key", "unknown_robot") else SENSOR)
+    (text,) = watch.streams.recent.told()
+    subject = "robot r1" if kind == "pose" or reason in ("bad_key", "unknown_robot") else SENSOR
     assert text.startswith(f"{subject}: ")
     assert text.endswith(" (3 times, last 7 s ago)")
     remedy = text.removesuffix(" (3 times, last 7 s ago)").rsplit("; ")[-1].rsplit(": ")[-1]
@@ -118,13 +120,58 @@ def test_a_single_loss_is_listed_for_a_minute_and_logged_once(kind: str, reason:
     assert [event for event, _ in watch.lines] == once
     assert all(line.startswith(f"{subject}: ") and line.endswith(remedy) for _, line in watch.lines)
     watch.now += 60
-    assert (watch.streams.recent.told(), watch.streams.problems()) == ({}, {})
+    assert (watch.streams.recent.told(), watch.streams.problems()) == ([], {})
+
+
+def test_of_strangers_nothing_is_listed(watch: Watch) -> None:
+    for number in range(100):
+        watch.streams.refused(f"ghost{number}", "odometry", "unknown_robot", "64 robots are known already")
+        assert watch.streams.gap(f"ghost{number}", "odometry", 3) is None
+    assert watch.streams.recent.told() == []
+
+
+def test_a_loss_that_goes_on_is_logged_once_a_minute(watch: Watch) -> None:
+    for _ in range(20):  # one in five
+        watch.streams.cloud("r1", "lidar", "late", 0, {})
+        watch.feed(watch.cloud(), 4, 2.5)
+    assert [event for event, _ in watch.lines] == ["lost_some"] * 4
+
+
+def test_what_became_a_problem_is_no_longer_listed_as_lately(watch: Watch) -> None:
+    watch.feed(watch.cloud("late"), 9)
+    assert len(watch.streams.recent.told()) == 1
+    watch.feed(watch.cloud("late"), 1)
+    assert (watch.streams.recent.told(), len(watch.streams.problems())) == ([], 1)
+
+
+def test_messages_lost_on_the_way_are_summed(watch: Watch) -> None:
+    watch.streams.pose("r1", None)
+    assert watch.streams.gap("r1", "odometry", 1) is not None
+    watch.now += 2
+    assert watch.streams.gap("r1", "odometry", 1200) is None
+    (text,) = watch.streams.recent.told()
+    assert text.startswith("robot r1: 1,201 of its odometry messages were lost on the way so far; publish with ")
+
+
+@pytest.mark.parametrize(("share", "told"), [(10, False), (30, True)])
+def test_many_points_lost_of_a_mapped_cloud_are_listed(share: int, told: bool, watch: Watch) -> None:
+    watch.streams.cloud("r1", "lidar", "integrated", 1000 - 10 * share, {"uncertain": 10 * share})
+    assert watch.streams.problems() == {}
+    assert bool(watch.streams.recent.told()) == told
+
+
+def test_names_forge_no_line(watch: Watch) -> None:
+    frame = "x\nrobot r2: none of its poses was taken"
+    watch.feed(lambda: watch.streams.refused("r1", frame, "unknown_sensor", f"frame {frame} is unknown"))
+    watch.streams.happened(Subject("r1", frame), "leap", "its pose\nleapt")
+    (problem,), (lately,) = watch.streams.problems().values(), watch.streams.recent.told()
+    assert "\n" not in problem + lately + "".join(watch.streams.problems())
 
 
 def test_equal_points_are_listed_though_the_cloud_is_mapped(watch: Watch) -> None:
     watch.streams.cloud("r1", "lidar", "integrated", 900, {"duplicate_return": 100, "no_return": 50})
-    (text,) = watch.streams.recent.told().values()
-    assert text.startswith(f"{SENSOR}: 100 points of a cloud were rejected as duplicate_return")
+    (text,) = watch.streams.recent.told()
+    assert text.startswith(f"{SENSOR}: 100 of the 1,050 points of a cloud were rejected as duplicate_return")
     assert watch.streams.problems() == {}
 
 
@@ -252,8 +299,8 @@ def test_refused_messages_count_with_the_good_ones_of_their_kind(watch: Watch) -
 
 def test_a_remark_is_told_once_per_change_and_stands_while_the_subject_sends(watch: Watch) -> None:
     for _ in range(3):
-        watch.streams.remark("robot r1", "two_sources", "robot r1: its odometry has two sources")
-    watch.streams.remark("robot r1", "two_sources", "robot r1: its odometry has three sources")
+        watch.streams.remark(Subject("r1"), "two_sources", "its odometry has two sources")
+    watch.streams.remark(Subject("r1"), "two_sources", "its odometry has three sources")
     watch.feed(lambda: watch.streams.pose("r1", "frozen"))
     text = watch.streams.problems()["robot r1"]
     assert text.startswith("robot r1: none of its last 10 poses was taken: all have one stamp")
@@ -263,7 +310,7 @@ def test_a_remark_is_told_once_per_change_and_stands_while_the_subject_sends(wat
     watch.streams.pose("r1", None)
     assert list(watch.streams.problems()) == ["robot r1"]
     for _ in range(2):
-        watch.streams.remark("robot r1", "two_sources", None)
+        watch.streams.remark(Subject("r1"), "two_sources", None)
     assert watch.streams.problems() == {}
     told = [event for event, _ in watch.said if event.startswith("remark")]
     assert told == ["remark", "remark", "remark_ended"]

@@ -89,7 +89,7 @@ STATUS: dict[str, Any] = {
     "gaps": {"r1": 4},
     "jumps": {"r1": 1},
     "problems": {"robot r1": "robot r1: no pose was taken"},
-    "recent": {"robot r1": "robot r1: its pose leapt 2.50 m, 0.00 rad in 0.100 s (3 s ago)"},
+    "recent": ["robot r1: its pose leapt 2.50 m, 0.00 rad in 0.100 s (3 s ago)"],
     "lag_s": {"p50": 0.01, "p99": None},
     "rates": {"clouds": 10.0, "points": 1e6, "poses": 50.0},
     "memory_bytes": 1 << 28,

@@ -65,7 +65,8 @@ def equal_points(random: Random) -> Fault:
         return [replace(m, points=np.concatenate([m.points, np.tile(at, (number, 1))]), times=times)]
 
     names = Names(
-        log=("lost_some duplicate_return", r"\d+ points of a cloud"), health=r"rejected as duplicate_return",
+        log=("lost_some duplicate_return", r"\d+ of the [\d,]+ points of a cloud"),
+        health=r"rejected as duplicate_return",
         doctor=rf"points of a cloud in '{name_of(sensor)}' are equal",
         advice=r"\(0, 0, 0\) or NaN", verdict="note", lasting=False,
     )  # fmt: skip

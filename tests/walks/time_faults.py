@@ -67,7 +67,7 @@ def bursts(random: Random) -> Fault:
 
     said = r"stamped in bursts: about \d poses 1\.0 ms apart, then none for 0\.\d\d s"
     names = Names(
-        log=("habit bursts", said), health=said, doctor=said, advice="when it is measured", lasting=False,
+        log=("remark bursts", said), health=said, doctor=said, advice="when it is measured",
         of_sensor=False,
     )  # fmt: skip
     return Fault(of_odometry(gather), names, f"of {number}")

@@ -56,7 +56,7 @@ FAULTS: dict[str, FaultKind] = {
         "all points within exclude", cloud_faults.excluded,
         settings={"sensors": {frame: {"exclude": [[-2.0, -2.0, -1.0, 2.0, 2.0, 3.0]]} for frame in SENSORS}},
     ),
-    "losses": FaultKind("messages are lost on the way", cloud_faults.losses),
+    "losses": FaultKind("numbered messages are lost on the way", cloud_faults.losses),
     "none": FaultKind("nothing is wrong", none),
 }  # fmt: skip
 """By name, which is the robot's too."""

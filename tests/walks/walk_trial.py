@@ -181,7 +181,9 @@ class Batch:
         now = time.time()
         for walk in self.walks:
             names, told = walk.fault.names, walk.told
-            sentence = (status.problems if names.lasting else status.recent).get(walk.subject, "")
+            sentence = status.problems.get(walk.subject, "")
+            if not names.lasting:
+                sentence = "\n".join(line for line in status.recent if line.startswith(f"{walk.subject}: "))
             if walk.on and sentence:
                 if names.health and told.health is None and named(names, names.health, sentence):
                     told.health, told.said["health"] = now - walk.begun, sentence

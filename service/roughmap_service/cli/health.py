@@ -22,11 +22,11 @@ TIMEOUT_S = 3.0
 WORKS = {str(problem) for problem in (Problem.OVERLOADED, *NOT_BLOCKING)}
 """Problems with which a service still works. A failed check may restart the service, which would not help here."""
 
-MAX_ANSWER = 1 << 18
+MAX_ANSWER = 1 << 20
 """Bytes of an answer that are read; a readiness page is smaller."""
 
-Found = tuple[dict[str, str], dict[str, str]]
-"""The problems, each with its cause, and by subject what happened lately."""
+Found = tuple[dict[str, str], list[str]]
+"""The problems, each with its cause, and what happened lately."""
 
 
 @click.command
@@ -49,14 +49,14 @@ def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], a
     try:
         problems, recent = _ask_page(config) if by_http else _ask_status(loaded)
     except Failure as error:
-        problems, recent = {"not_there": error.message}, {}
+        problems, recent = {"not_there": error.message}, []
     works = not problems.keys() - WORKS
     if as_json:
         click.echo(json.dumps({"works": works, "map": config.map.name, "problems": problems, "recent": recent}))
     else:
         shown = [f"{name}: {line}" for name, cause in problems.items() for line in cause.split("\n") if line]
         shown += [name for name, cause in problems.items() if not cause]
-        for line in [*(shown or ["ok"]), *(f"recently: {text}" for text in recent.values())]:
+        for line in [*(shown or ["ok"]), *(f"recently: {text}" for text in recent)]:
             click.echo(printable(f"{config.map.name}: {line}"))
     return 0 if works else 1
 
@@ -74,7 +74,7 @@ def _ask_page(config: Config) -> Found:
     """Return what the readiness page says."""
     try:
         page = _page(config, "/readyz")
-        return dict(page["problems"]), dict(page.get("recent", {}))  # a service of an earlier version has no second
+        return dict(page["problems"]), list(page.get("recent", []))  # a service of an earlier version has no second
     except (AttributeError, ValueError, LookupError, TypeError):
         raise _no_service(reachable(config.http.listen or "")) from None
 
@@ -115,7 +115,7 @@ def _ask_status(loaded: LoadedConfig) -> Found:
             hint = f"is the map {config.map.name!r} served there?{if_guarded(zenoh_config)}"
             raise Failure(f"{error}; {hint}") from None
     if status.health != "ok" and not status.problems:  # a service of an earlier version
-        return {str(status.health): "the cause is in its log lines and, if http.listen is on, on /readyz"}, {}
+        return {str(status.health): "the cause is in its log lines and, if http.listen is on, on /readyz"}, []
     found: dict[str, str] = {}
     for subject, text in status.problems.items():
         name = str(next((problem for problem, of in SUBJECTS.items() if of == subject), Problem.INPUT_LOST))

@@ -119,7 +119,7 @@ def _problems(status: MapStatus) -> list[RenderableType]:
     for subject, text in status.problems.items():
         line = text if text.startswith(subject) else f"{subject}: {text}"
         shown.append(Text(printable(line), "yellow"))
-    shown += [Text(printable(text), "dim") for text in status.recent.values()]
+    shown += [Text(printable(f"recently: {text}"), "dim") for text in status.recent]
     return [Text(), *shown] if shown else []
 
 

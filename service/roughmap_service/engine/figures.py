@@ -23,6 +23,9 @@ from roughmap_service.run.settings import Settings
 
 NOTHING = Figures()
 
+LARGE = 1e6
+"""Metres from which on decimals say nothing."""
+
 CLOCK_S = 1.0
 """Seconds between a cloud's stamp and the newest pose from which on different clocks are likelier than slow poses."""
 
@@ -85,6 +88,11 @@ class LostCloud:
         return f"check that {self.frame_id} and odometry use one clock, or set time_offset = {offset} in {self.table}"
 
 
+def figure(metres: float) -> str:
+    """Return a length for a text."""
+    return f"{metres:.2f}" if metres < LARGE else f"{metres:.3g}"
+
+
 def _no_pose(lost: LostCloud) -> Figures:
     robot, cloud = lost.robot, lost.cloud
     if robot is None or not robot.buffer.poses:
@@ -95,7 +103,8 @@ def _no_pose(lost: LostCloud) -> Figures:
     if cloud.last_ns <= newest:
         if cloud.first_ns >= first:
             return Figures("the robot's stamps were in doubt")
-        return Figures(f"the oldest pose is {(first - cloud.first_ns) * 1e-9:.1f} s ahead")
+        text = f"they began {max((first - cloud.first_ns) * 1e-9, 0.01):.2g} s before its first pose"
+        return Figures(text, "nothing is wrong if it happens once, at a start or after its clock was set", certain=True)
     behind = (cloud.last_ns - newest) * 1e-9
     text = f"the newest pose is {behind:.3g} s behind after {lost.waited:.3g} s" if behind < CLOCK_S else ""
     # Poses went on while the cloud waited.
@@ -156,7 +165,8 @@ def _pose_jump(lost: LostCloud) -> Figures:
     for before, pose in pairwise(lost.poses()):
         if pose.leapt:
             metres, seconds = math.dist(before.position, pose.position), (pose.stamp_ns - before.stamp_ns) * 1e-9
-            return Figures(f"it moved {metres:.2f} m in {seconds:.3g} s (input.max_leap = {lost.settings.max_leap:g})")
+            limit = f"input.max_leap = {lost.settings.max_leap:g}"
+            return Figures(f"it moved {figure(metres)} m in {seconds:.3g} s ({limit})")
     return NOTHING
 
 

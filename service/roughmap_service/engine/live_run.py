@@ -3,8 +3,8 @@
 import logging
 import math
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 from roughmap import RoughMap
@@ -90,9 +90,10 @@ class LiveRun:
         )
         arrival = Arrival(message.arrival, promised=message.reply is not None)
         taken = run.take(message.robot, content, message.identity, logged_ns, arrival)
-        self._notices.message(message.robot, content, taken)
-        if isinstance(content, Cloud):
-            self._notices.sensor(message.robot, content.frame_id, run.settings.config)
+        with unharmed():
+            self._notices.message(message.robot, content, taken)
+            if isinstance(content, Cloud):
+                self._notices.sensor(message.robot, content.frame_id, run.settings.config)
         self._acknowledge(message, taken.input, duplicate=False)
         return taken.input
 
@@ -178,7 +179,8 @@ class LiveRun:
                 self._log(found)
                 self.run.read_times(found)
                 self._publish_event(encode_event(found))
-            self._notices.times(found, self.run.settings.config)
+            with unharmed():
+                self._notices.times(found, self.run.settings.config)
 
     def _integrate(self, proposal: Proposal) -> IntegrationEvent:
         """Apply a proposal and log the event.
@@ -206,7 +208,8 @@ class LiveRun:
         run, unclear = self.run, self._unclear.get(cloud.sensor, "")
         lost = LostCloud(cloud, event, run.robots.get(event.robot), run.settings, run.map, now - arrival.at, unclear)
         frame_id = cloud.cloud.frame_id
-        self._streams.cloud(event.robot, frame_id, str(event.outcome), event.accepted, rejected, lost.figures)
+        with unharmed():
+            self._streams.cloud(event.robot, frame_id, str(event.outcome), event.accepted, rejected, lost.figures)
 
     def _log(self, event: Event) -> None:
         self.run.record += 1
@@ -224,6 +227,15 @@ class LiveRun:
         reply = message.reply
         kept = "; the message is queued for the log: send the same bytes again for its receipt"
         self._writer.put(Sync(lambda: reply.receipt(receipt), lambda error: reply.refuse(log_fault(error, kept))))
+
+
+@contextmanager
+def unharmed() -> Iterator[None]:
+    """Log an error in what is only told to people: the map must not end with it."""
+    try:
+        yield
+    except Exception:
+        logger.exception("cannot tell what came of a message; the map goes on")
 
 
 def log_fault(error: str, more: str = "") -> MessageFault:

@@ -40,10 +40,11 @@ def application(sources: Sources) -> Starlette:
     async def readyz(request: Request) -> Response:
         problems = sources.readiness.problems()
         ready = is_ready(problems)
-        shown = {"problems": problems, "recent": sources.recent()}
         if not request.scope[AUTHORISED]:
-            shown = {"problems": dict.fromkeys(problems, "")}
-        return JSONResponse({"ready": ready, **shown}, 200 if ready else 503)
+            page = {"ready": ready, "problems": dict.fromkeys(problems, "")}
+        else:
+            page = {"ready": ready, "problems": problems, "recent": sources.recent()}
+        return JSONResponse(page, 200 if ready else 503)
 
     def metrics(_: Request) -> Response:
         if sources.metrics is None:
@@ -64,7 +65,7 @@ def application(sources: Sources) -> Starlette:
 def _page(status: MapStatus, readiness: Readiness) -> str:
     causes = [escape(line) for cause in readiness.problems().values() for line in cause.split("\n")]
     causes = causes or ["accepting messages and answering queries"]
-    why = "<br>".join([*causes, *(f"recently: {escape(text)}" for text in status.recent.values())])
+    why = "<br>".join([*causes, *(f"recently: {escape(text)}" for text in status.recent)])
     rows = {
         "sequence": f"{status.sequence}, on disk up to {status.durable_sequence}",
         "up for": f"{status.uptime_s:.0f} s",

@@ -78,10 +78,10 @@ def frame_of(payload: bytes) -> str:
 
 def _check_cloud(message: InputMessage, cloud: Cloud, settings: Settings, inbox: Inbox) -> None:
     if cloud.frame_id != settings.frame_id and settings.sensor(message.robot, cloud.frame_id) is None:
-        where = f"[sensors.{cloud.frame_id}]" if cloud.frame_id else "set frame_id"
+        why = "" if cloud.frame_id else " (set frame_id)"
         raise MessageFault(
             Refusal.UNKNOWN_SENSOR,
-            f"frame {cloud.frame_id!r} is neither the map's ({settings.frame_id!r}) nor a configured sensor ({where})",
+            f"frame {cloud.frame_id!r} is neither the map's ({settings.frame_id!r}) nor a configured sensor{why}",
         )
     if message.reply is not None and not inbox.has_room(cloud.held_bytes):
         raise MessageFault(Refusal.BUSY, "clouds that wait for poses fill input.queue_limit; try again")

@@ -6,24 +6,30 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from roughmap_service.inputs.remedies import Subject
+
 LISTED: Final = 60.0
-"""Seconds for which something is listed after it happened last."""
+"""Seconds for which something is listed after it happened last, and after which it is told again if it goes on."""
 
 RENEWED: Final = 1.0
 """Seconds after which a sentence is made anew if it happens again."""
 
 MAX_LISTED: Final = 32
-"""Different things that are listed; the one that happened longest ago gives way."""
+"""Lines of the list."""
+
+MAX_KEPT, MAX_OF_ROBOT = 1024, 16
+"""Different things that are remembered, and of them those of one robot; what happened longest ago gives way."""
 
 
 @dataclass
 class _Happened:
-    """What happened ``times``, last ``at`` (monotonic s). ``sentence`` was made at ``told_at``."""
+    """What happened ``times``, last ``at`` (monotonic s). ``sentence`` was made ``made`` and told ``told``."""
 
     sentence: str
-    times: int
-    at: float
-    told_at: float
+    made: float
+    told: float
+    times: int = 0
+    at: float = 0.0
 
 
 class Recent:
@@ -32,41 +38,73 @@ class Recent:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._lock = threading.Lock()
-        self._happened: dict[tuple[str, str], _Happened] = {}
+        self._happened: dict[tuple[Subject, str], _Happened] = {}
         """Ordered by time; the last one happened last."""
+        self._of_robot: dict[str, int] = {}
 
-    def add(self, subject: str, name: str, sentence: Callable[[], str]) -> str | None:
-        """Take what happened to a subject ("robot r1"). Return its sentence if it was not listed before.
+    def add(self, subject: Subject, name: str, sentence: Callable[[], str]) -> str | None:
+        """Take what happened to a robot or to its sensor. Return its sentence if it is to be told.
 
-        ``sentence`` begins with the subject; it is called at most once a second.
+        That is where it was not listed, and once in `LISTED` while it goes on. ``sentence`` begins with the subject; it
+        is called at most once a second.
         """
+        key, robot = (subject, name), subject.robot
         with self._lock:
             now = self._clock()
             self._forget(now)
-            known = self._happened.pop((subject, name), None)
-            if known is None or now - known.told_at >= RENEWED:
-                known = _Happened(sentence(), 0 if known is None else known.times, now, now)
+            known = self._happened.get(key)
+            if known is None:
+                known = _Happened(sentence(), now, now)
+                self._make_room(robot)
+                self._of_robot[robot] = self._of_robot.get(robot, 0) + 1
+            else:
+                if now - known.made >= RENEWED:
+                    known.sentence, known.made = sentence(), now
+                del self._happened[key]
             known.times, known.at = known.times + 1, now
-            self._happened[subject, name] = known
-            if len(self._happened) > MAX_LISTED:
-                del self._happened[next(iter(self._happened))]
-        return known.sentence if known.times == 1 else None
+            self._happened[key] = known
+            if known.times > 1 and now - known.told < LISTED:
+                return None
+            known.told = now
+            return known.sentence
 
-    def told(self) -> dict[str, str]:
-        """Return by subject what happened, and how often and how long ago; what happened last comes first."""
+    def drop(self, subject: Subject, name: str) -> None:
+        """Forget it: it is told elsewhere now."""
+        with self._lock:
+            if (subject, name) in self._happened:
+                self._remove((subject, name))
+
+    def told(self) -> list[str]:
+        """Return what happened, how often and how long ago, a line each; what happened last comes first."""
         with self._lock:
             now = self._clock()
             self._forget(now)
-            found: dict[str, str] = {}
-            for (subject, _), one in reversed(self._happened.items()):
+            found: list[str] = []
+            for one in reversed(self._happened.values()):
+                if len(found) == MAX_LISTED - 1 and len(self._happened) > MAX_LISTED:
+                    found.append(f"{len(self._happened) - len(found)} more events of the last minute; see the log")
+                    break
                 often = f"{one.times} times, last " if one.times > 1 else ""
-                text = f"{one.sentence} ({often}{now - one.at:.0f} s ago)"
-                found[subject] = f"{found[subject]}; {text.removeprefix(f'{subject}: ')}" if subject in found else text
+                found.append(f"{one.sentence} ({often}{now - one.at:.0f} s ago)")
         return found
+
+    def _make_room(self, robot: str) -> None:
+        """Forget the oldest where the robot, or all together, have as many as are kept."""
+        if self._of_robot.get(robot, 0) >= MAX_OF_ROBOT:
+            self._remove(next(key for key in self._happened if key[0].robot == robot))
+        elif len(self._happened) >= MAX_KEPT:
+            self._remove(next(iter(self._happened)))
 
     def _forget(self, now: float) -> None:
         while self._happened:
             first = next(iter(self._happened))
             if now - self._happened[first].at <= LISTED:
                 return
-            del self._happened[first]
+            self._remove(first)
+
+    def _remove(self, key: tuple[Subject, str]) -> None:
+        del self._happened[key]
+        robot = key[0].robot
+        self._of_robot[robot] -= 1
+        if not self._of_robot[robot]:
+            del self._of_robot[robot]

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 from roughmap_schemas import Config, Keys
 from roughmap_schemas.reasons import MEANING, PointReason
 from roughmap_service.host.counters import OTHERS
+from roughmap_service.host.log_lines import printable
 from roughmap_service.inputs.losses import Cause, Outcome
 from roughmap_service.run.point_times import SHARES
 
@@ -41,7 +42,8 @@ class Subject:
     def __str__(self) -> str:
         if self.robot == OTHERS:
             return "robots without a valid name"
-        return f"robot {self.robot}" if self.frame_id is None else f"robot {self.robot} sensor {self.frame_id}"
+        text = f"robot {self.robot}" if self.frame_id is None else f"robot {self.robot} sensor {self.frame_id}"
+        return printable(text)  # sentences are read line by line
 
 
 def toml_key(name: str) -> str:
@@ -179,14 +181,25 @@ def sentence(
     parts = [shortened(figures.text, MAX_FIGURES)] if figures.text else []
     if cause.kind in CAUSES:
         parts = [CAUSES[cause.kind][cause.reason].format_map(words), *parts]
-    return shortened(f"{text}: {'; '.join([*parts, remedy] if remedy else parts)}")
+    return in_one_line(f"{text}: {'; '.join([*parts, remedy] if remedy else parts)}")
 
 
-def equal_points(config: Config, subject: Subject, number: int) -> str:
-    """Return what is told of a cloud of which ``number`` points were rejected for being equal."""
-    reason = PointReason.DUPLICATE_RETURN
+def points_lost(config: Config, subject: Subject, reason: str, lost: int, number: int) -> str:
+    """Return what is told of a mapped cloud of which ``lost`` of ``number`` points were rejected for a reason."""
     remedy = POINT_REMEDIES[reason].format_map(_words(config, subject))
-    return f"{subject}: {number} points of a cloud were rejected as {reason} ({MEANING[PointReason][reason]}): {remedy}"
+    what = f"{lost:,} of the {number:,} points of a cloud were rejected as {reason} ({MEANING[PointReason][reason]})"
+    return in_one_line(f"{subject}: {what}: {remedy}")
+
+
+def lost_on_the_way(robot: str, kind: str, number: int) -> str:
+    """Return what is told of ``number`` messages of a kind that were lost since the service heard of the robot."""
+    what = f"{number:,} of its {kind} messages were" if number > 1 else f"one of its {kind} messages was"
+    return f"robot {robot}: {what} lost on the way so far; publish with CongestionControl.BLOCK, or ingest them"
+
+
+def in_one_line(text: str) -> str:
+    """Return a sentence as it is told: not too long, and with nothing in it that would look like another line."""
+    return shortened(printable(text))
 
 
 def shortened(text: str, most: int = MAX_TEXT) -> str:

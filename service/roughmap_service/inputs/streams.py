@@ -25,9 +25,10 @@ from roughmap_service.inputs.remedies import (
     TRANSFORMS,
     Figures,
     Subject,
-    equal_points,
+    in_one_line,
+    lost_on_the_way,
+    points_lost,
     sentence,
-    shortened,
 )
 
 logger = logging.getLogger(__name__)
@@ -46,6 +47,12 @@ MAX_REMARKS: Final = 8
 
 STOPPED: Final = 1.0
 """Seconds without odometry after which it counts as stopped, and a cloud so far ahead says nothing about clocks."""
+
+NOTED_POINTS: Final = {
+    PointReason.DUPLICATE_RETURN: 0.0, PointReason.UNCERTAIN: 0.2, PointReason.TIME: 0.2, PointReason.NO_POSE: 0.2,
+    PointReason.COVARIANCE: 0.2,
+}  # fmt: skip
+"""Reasons of points that are told of a mapped cloud, from which share of them on. The others depend on the place."""
 
 RENEWED: Final = 30.0
 """Seconds after which the figures of a standing problem are taken anew."""
@@ -72,12 +79,16 @@ class _Stream:
 
 @dataclass
 class _Watched:
-    """A robot or a sensor: when it was heard last, its streams by kind, and standing facts about it by name."""
+    """A robot or a sensor: when it was heard last, its streams by kind, and standing facts about it by name.
+
+    ``on_the_way``: messages lost on the way by kind.
+    """
 
     heard: float
     stranger: bool
     streams: dict[str, _Stream] = field(default_factory=dict)
     remarks: dict[str, str] = field(default_factory=dict)
+    on_the_way: dict[str, int] = field(default_factory=dict)
 
 
 class Streams:
@@ -110,12 +121,8 @@ class Streams:
         cause = cloud_cause(outcome, accepted, rejected)
         self._take(Subject(robot, frame_id[:MAX_NAME]), CLOUDS, cause, figures, accepted=accepted, rejected=rejected)
         self._take(Subject(robot), ANY_CLOUDS, None, known_only=True)
-        equal = rejected.get(PointReason.DUPLICATE_RETURN, 0)
-        if equal and cause is None:
-            subject = Subject(robot, frame_id[:MAX_NAME])
-            say = partial(equal_points, self._config, subject, equal)
-            if text := self.recent.add(str(subject), PointReason.DUPLICATE_RETURN, say):
-                _note_some(subject, PointReason.DUPLICATE_RETURN, text)
+        if cause is None:
+            self._points_lost(Subject(robot, frame_id[:MAX_NAME]), accepted, rejected)
 
     def pose(self, robot: str, reason: str | None, figures: FindFigures = Figures) -> None:
         """Count an odometry message whose fate is settled; ``reason`` is None if its pose was taken."""
@@ -124,6 +131,20 @@ class Streams:
     def transform(self, robot: str) -> None:
         """Count a transform that reached the log."""
         self._take(Subject(robot), TRANSFORMS, None, known_only=True)
+
+    def gap(self, robot: str, kind: str, number: int) -> str | None:
+        """Count messages of a kind that were lost on the way. Return what is to be logged, if anything."""
+        with self._lock:
+            watched = self._watched.get(Subject(robot))
+            if watched is None or watched.stranger:
+                return None
+            total = watched.on_the_way[kind] = watched.on_the_way.get(kind, 0) + number
+        text = lost_on_the_way(robot, kind, total)
+        return self.recent.add(Subject(robot), f"gap {kind}", lambda: text)
+
+    def happened(self, subject: Subject, name: str, text: str) -> str | None:
+        """List for a while what happened once to a subject. Return the sentence if it is to be logged."""
+        return self.recent.add(subject, name, lambda: in_one_line(f"{subject}: {text}"))
 
     def refused(self, robot: str, what: str, reason: str, text: str) -> None:
         """Count a message that never reached the log.
@@ -141,27 +162,27 @@ class Streams:
         subject = Subject(robot, what[:MAX_NAME]) if sensor else Subject(robot)
         self._take(subject, CLOUDS if sensor else what, cause, lambda: figures, stranger=True)
 
-    def remark(self, subject: str, name: str, sentence: str | None) -> None:
-        """State a fact about a subject ("robot r1") that holds until it is called with None; told once per change.
+    def remark(self, subject: Subject, name: str, text: str | None) -> None:
+        """State a fact about a subject that holds until it is called with None; told once per change.
 
-        It is a problem while the subject sends. ``sentence`` begins with the subject.
+        It is a problem while the subject sends.
         """
+        sentence = None if text is None else in_one_line(f"{subject}: {text}")
         with self._lock:
-            key = _parsed(subject)
-            watched = self._find(key, self._clock(), stranger=False)
+            watched = self._find(subject, self._clock(), stranger=False)
             if watched is None or watched.remarks.get(name) == sentence:
                 return
             if sentence is None:
                 del watched.remarks[name]
             elif name in watched.remarks or len(watched.remarks) < MAX_REMARKS:
-                watched.remarks[name] = sentence = shortened(sentence)
+                watched.remarks[name] = sentence
             else:
                 return
         if sentence is None:
-            text = f"{subject}: {name}: no longer"
-            note(logger, logging.INFO, "remark_ended", text, robot=key.robot, reason=name, subject=subject)
+            over = f"{subject}: {name}: no longer"
+            note(logger, logging.INFO, "remark_ended", over, robot=subject.robot, reason=name, subject=str(subject))
         else:
-            note(logger, logging.WARNING, "remark", sentence, robot=key.robot, reason=name, subject=subject)
+            note(logger, logging.WARNING, "remark", sentence, robot=subject.robot, reason=name, subject=str(subject))
 
     def problems(self) -> dict[str, str]:
         """Return the sentence on each subject that has a problem, at most `MAX_PROBLEMS`, those of which every message
@@ -210,9 +231,11 @@ class Streams:
             outcome = Outcome(now, cause, accepted, rejected)
             losses.add(outcome)
             lost, some = losses.lost, None
-            if lost is None and cause is not None:
+            if lost is None and cause is not None and not watched.stranger:
                 say = partial(self._sentence, subject, kind, cause, losses, figures)
-                some = self.recent.add(str(subject), cause.reason, say)
+                some = self.recent.add(subject, f"{kind} {cause.kind} {cause.reason}", say)
+            elif lost is not None:  # the problem says it
+                self.recent.drop(subject, f"{kind} {lost.kind} {lost.reason}")
             changed = lost != before or (lost is not None and now - stream.told_at >= RENEWED and cause == lost)
             if changed:
                 stream.told_at = now
@@ -229,6 +252,17 @@ class Streams:
                 logger, logging.WARNING, "stream_lost", stream.told, robot=subject.robot, reason=lost.reason,
                 subject=str(subject),
             )  # fmt: skip
+
+    def _points_lost(self, subject: Subject, accepted: int, rejected: Mapping[str, int]) -> None:
+        """Tell of points that are lost though their cloud is mapped, as far as they say that something is wrong."""
+        number = accepted + sum(rejected.values())
+        for reason, least in NOTED_POINTS.items():
+            lost = rejected.get(reason, 0)
+            if lost and lost >= least * number:
+                say = partial(points_lost, self._config, subject, reason, lost, number)
+                text = self.recent.add(subject, f"points {reason}", say)
+                if text is not None:
+                    _note_some(subject, reason, text)
 
     def _sentence(self, subject: Subject, kind: str, lost: Cause, losses: Losses, figures: FindFigures) -> str:
         found = figures() if losses.last[-1].cause == lost else Figures()  # of another loss they would mislead
@@ -297,9 +331,3 @@ def limited(problems: dict[str, str]) -> dict[str, str]:
 def _note_some(subject: Subject, reason: str, text: str) -> None:
     """Log that messages or points are lost here and there."""
     note(logger, logging.INFO, "lost_some", text, robot=subject.robot, reason=str(reason), subject=str(subject))
-
-
-def _parsed(subject: str) -> Subject:
-    """Return the subject of its text. A robot's name has no spaces."""
-    _, robot, *rest = subject.split(" ", 3)
-    return Subject(robot, rest[1] if len(rest) > 1 else None)

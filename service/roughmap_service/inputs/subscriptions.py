@@ -124,9 +124,8 @@ class ZenohInputs:
             return
         if lost:
             self._counters.gap(robot, lost)
-            text = f"robot {robot}: {lost} {kind.value} messages lost on the way"
-            self._streams.recent.add(f"robot {robot}", f"gap {kind.value}", lambda: text)
-            note(logger, logging.WARNING, "gap", text, robot=robot, kind=kind.value, missing=lost)
+            if text := self._streams.gap(robot, kind.value, lost):
+                note(logger, logging.WARNING, "gap", text, robot=robot, reason=kind.value, missing=lost)
 
 
 ENCODINGS = {

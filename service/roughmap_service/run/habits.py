@@ -19,6 +19,10 @@ BURST = 0.2
 MOSTLY = 0.4
 """Part of the poses that must be in bursts."""
 
+PAIR, PAUSE = 2.5, 0.1
+"""Two sources that take turns look like bursts of two. They are none unless more poses come together than that, or none
+comes for so many seconds."""
+
 FEWEST = 8
 """Steps between poses to judge by."""
 
@@ -39,10 +43,8 @@ class Bursts(NamedTuple):
     pause: float
 
     def __str__(self) -> str:
-        return (
-            f"odometry is stamped in bursts: about {self.number:.0f} poses {self.apart * 1e3:.1f} ms apart, then none "
-            f"for {self.pause:.2f} s"
-        )
+        apart = f"{self.apart * 1e3:.1f} ms apart" if self.apart >= 1e-4 else "at nearly the same time"
+        return f"odometry is stamped in bursts: about {self.number:.0f} poses {apart}, then none for {self.pause:.2f} s"
 
 
 class Jitter(NamedTuple):
@@ -67,7 +69,8 @@ def find_bursts(rows: Sequence[Sequence[int]]) -> Bursts | None:
     short = steps < BURST * steps.mean()
     if short.mean() < MOSTLY:
         return None
-    return Bursts(1 / (1 - short.mean()), float(np.median(steps[short])), float(np.median(steps[~short])))
+    found = Bursts(1 / (1 - short.mean()), float(np.median(steps[short])), float(np.median(steps[~short])))
+    return found if found.number >= PAIR or found.pause >= PAUSE else None
 
 
 def find_jitter(rows: Sequence[Sequence[Pose]]) -> Jitter | None:

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Literal
@@ -134,6 +134,6 @@ class Sources:
     readiness: Readiness
     map: str = ""
     url: str | None = None
-    recent: Callable[[], Mapping[str, str]] = dict
+    recent: Callable[[], Sequence[str]] = list
     status: Callable[[], MapStatus] | None = None
     metrics: Callable[[], bytes] | None = None

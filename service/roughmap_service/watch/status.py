@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
@@ -53,7 +53,7 @@ class RunProgress:
     waiting: int = 0
     problems: Mapping[Problem, str] = field(default_factory=dict)
     lost: Mapping[str, str] = field(default_factory=dict)
-    recent: Mapping[str, str] = field(default_factory=dict)
+    recent: Sequence[str] = ()
     log: LogState = field(default_factory=LogState)
 
 
@@ -121,7 +121,7 @@ class Status:
             gaps=dict(counts.gaps),
             jumps=dict(counts.jumps),
             problems=told(progress.problems, progress.lost),
-            recent=dict(progress.recent),
+            recent=list(progress.recent),
             lag_s=Lag(p50=lag.p50, p99=lag.p99),
             rates=Rates(clouds=clouds, points=points, poses=poses),
             memory_bytes=memory_bytes(),

@@ -14,8 +14,9 @@ ENOUGH = 5
 
 
 def judge_service(before: MapStatus, after: MapStatus) -> list[Finding]:
-    """Compare two statuses of one service; the later one also names its problems."""
+    """Compare two statuses of one service; the later one also names its problems, and what happened lately."""
     findings = [Finding("service", "wrong", sentence) for _, sentence in sorted(after.problems.items())]
+    findings += [Finding("service", "note", f"recently: {sentence}") for sentence in after.recent]
     if before.instance != after.instance:
         return findings
     clouds_lost = False
