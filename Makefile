@@ -6,7 +6,7 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-random test-recordings check audit bench bench-peers faults walks fuzz soak overload schemas lock image container-test clean
+.PHONY: help setup demo test test-random test-recordings check audit bench bench-against bench-peers faults walks fuzz soak overload schemas lock image container-test clean
 
 help:  ## show this list
 	@echo "make TARGET, where TARGET is:"
@@ -49,6 +49,10 @@ audit: $(READY)  ## look for unsafe code, missing hashes and known vulnerabiliti
 
 bench: $(READY)  ## measure all speed figures with targets and references; pictures in bench/
 	$(BIN)/python tests/bench/run.py $(ARGS)
+
+bench-against: $(READY)  ## compare with an older version in alternating processes: REV=0f7ab12; ARGS="--only kernel"
+	@test -n "$(REV)" || { echo "no older version: make bench-against REV=COMMIT"; exit 1; }
+	$(BIN)/python tests/bench/against.py "$(REV)" $(ARGS)
 
 bench-peers: $(READY)  ## measure other Python libraries on the same points, in an environment of their own
 	$(BIN)/python tests/bench/peers.py $(ARGS)

@@ -124,9 +124,14 @@ class Bench:
         print(f"bench: {text}", file=sys.stderr, flush=True)
 
     def interleaved(
-        self, rounds: int, runs: Mapping[str, Callable[[], object]], *, both: Sequence[str] = ()
+        self,
+        rounds: int,
+        runs: Mapping[str, Callable[[], object]],
+        *,
+        both: Sequence[str] = (),
+        clock: Callable[[], float] = time.perf_counter,
     ) -> dict[str, list[float]]:
-        """Seconds of each run in each round, all of them in turn, after one round that warms up.
+        """Seconds by ``clock`` of each run in each round, all of them in turn, after one round that warms up.
 
         Pinned to one core, but those named in ``both``.
         """
@@ -137,10 +142,10 @@ class Bench:
                 self.say(f"round {turn} of {self.rounds(rounds)}" if turn else f"{len(runs)} runs, warming up")
                 for name, run in runs.items():
                     os.sched_setaffinity(0, cores if name in both else {max(cores)})
-                    begun = time.perf_counter()
+                    begun = clock()
                     run()
                     if turn:
-                        times[name].append(time.perf_counter() - begun)
+                        times[name].append(clock() - begun)
         finally:
             os.sched_setaffinity(0, cores)
         return times

@@ -20,8 +20,6 @@ import numpy as np
 from scans import CELL_SIZE, NOISE, SCANS, Drive, Recording, recorded, still
 
 from roughmap import RoughMap
-from roughmap_service.store.memory_limit import MemoryLimit, memory_bytes
-from roughmap_service.store.spill import Spill
 
 LAP_M = 9.0
 """A lap is the recorded drive; the next one begins where it ends."""
@@ -38,6 +36,11 @@ def measure(folder: Path, *, quick: bool) -> dict[str, Any]:
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
     made: dict[str, Any] = json.loads(done.stdout)
     return made
+
+
+def memory_bytes() -> int:
+    """This process's resident memory."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def known_cells(held: RoughMap) -> int:
@@ -107,6 +110,10 @@ class Plain:
 def spilling(folder: Path, recording: Recording, number: int, rounds: int) -> dict[str, Any]:
     """A map in memory and one past a limit of a quarter of what the first takes in all, lap by lap in turn, so that a
     busy moment falls on both. The digests are equal."""
+    # Here, for other versions have these elsewhere, and are measured by the rest of this module all the same.
+    from roughmap_service.store.memory_limit import MemoryLimit
+    from roughmap_service.store.spill import Spill
+
     order = laps(number)
     drives = [still(recording, (LAP_M * lap, 0.0)) for lap in order]
     plain = Plain()
@@ -144,7 +151,6 @@ class Counted:
         self.bytes = 0
 
     def write(self, file: int, parts: Any, offset: int) -> int:
-
         done = os.pwritev(file, parts, offset)
         self.bytes += done
         return done

@@ -2,24 +2,18 @@
 
 import shutil
 import time
-from contextlib import ExitStack
 from itertools import product
 
 import numpy as np
 from asker import timed_get
-from asking import Asker, Latencies, echoing
+from asking import Asker, Latencies
 from figures import Bench, Mark, Row, latency_row, rounds_row
+from regions import LINKS, TWO_LAYERS, Rates, filled_service, rates
 from scans import CELL_SIZE, SCANS, recorded
-from serving import MAP, Sender, drive, fill, open_session, served
+from serving import MAP, Sender, drive
 
 from roughmap.reading.terrain import derive
 
-TWO_LAYERS = "layers=mean_height,range"
-SITES = [(x, y) for x, y in product((-52.0, -26.0, 0.0, 26.0, 52.0), repeat=2)]
-"""Beyond 20 m rings lie far apart: from these every tile of the 400 is seen."""
-
-REGION = f"maps/{MAP}/region?bbox=-64,-64,64,64;{TWO_LAYERS}"
-TILES = f"maps/{MAP}/tiles/0/*/*?bbox=-64,-64,64,64;{TWO_LAYERS}"
 NEAR = list(product(range(-2, 2), repeat=2))
 """Tiles asked for one by one: the drive passes over them all the time."""
 
@@ -35,8 +29,7 @@ def rows(bench: Bench) -> list[Row]:
     shutil.rmtree(folder, ignore_errors=True)
     sender = Sender(recorded(bench.folder, 3 if bench.quick else SCANS), own_times=True)
     seconds = 1 if bench.quick else 25
-    with served(folder) as service, open_session(service.endpoints) as session, echoing() as echo:
-        fill(bench, session, recorded(bench.folder, 3 if bench.quick else SCANS), SITES)
+    with filled_service(bench, folder) as (service, echo, session):
         drive(session, sender, 0, 5, pose_hz=50.0, phase=0.0)
         turns = []
         for x, y in NEAR:
@@ -45,9 +38,7 @@ def rows(bench: Bench) -> list[Row]:
             turns += [("service", selector), ("echo", f"echo?size={size};replies=1")]
 
         def asked() -> Asker:
-            return Asker(
-                service.endpoints, TILE_HZ, seconds + bench.settle_s, bench.settle_s, echo=echo, turns=turns
-            )  # fmt: skip
+            return Asker(service, TILE_HZ, seconds + bench.settle_s, bench.settle_s, echo=echo, turns=turns)
 
         bench.say(f"queries: a tile and its echo in turn, idle, {seconds} s")
         with asked() as asker:
@@ -56,7 +47,7 @@ def rows(bench: Bench) -> list[Row]:
         with asked() as asker:
             drive(session, sender, 5, round((seconds + bench.settle_s) * 10), pose_hz=50.0, phase=0.0)
             found += _tile("loaded", asker.latencies(), 3.0)
-        found += _region(bench, service.endpoints, echo)
+        found += _regions(rates(bench, service, echo, ROUNDS))
     shutil.rmtree(folder)
     return [*found, _derive(bench)]
 
@@ -72,34 +63,12 @@ def _tile(state: str, taken: Latencies, most: float) -> list[Row]:
     ]  # fmt: skip
 
 
-def _region(bench: Bench, service: list[str], echo: list[str]) -> list[Row]:
-    """400 tiles as one grid, and as 400 replies, each beside the echo in the same form, over both kinds of link.
-
-    By shared memory one grid of 13 MB travels fast only where Zenoh's pool of 16 MiB has room for it in one piece.
-    """
-    kinds = {"region": ("one region", REGION, 1), "tiles": ("as 400 tile replies", TILES, 400)}
-    links = {"shm": "shared memory", "tcp": "TCP"}
-    taken: dict[tuple[str, str], tuple[list[float], list[float]]] = {k: ([], []) for k in product(kinds, links)}
-    with ExitStack() as stack:
-        sessions = {
-            link: [stack.enter_context(open_session(to, shared_memory=link == "shm")) for to in (service, echo)]
-            for link in links
-        }
-        for turn in range(bench.rounds(ROUNDS) + 1):
-            bench.say(f"queries: 400 tiles, round {turn} of {bench.rounds(ROUNDS)}")
-            for kind, link in taken:
-                asked, echoed = sessions[link]
-                _, selector, expected = kinds[kind]
-                seconds, size, replies = timed_get(asked, selector)
-                if replies != expected:
-                    raise RuntimeError(f"{selector}: {replies} replies, not {expected}")
-                beside, back, _ = timed_get(echoed, f"echo?size={size // replies};replies={replies}")
-                if turn:
-                    taken[kind, link][0].append(size / seconds / 1e6)
-                    taken[kind, link][1].append(back / beside / 1e6)
+def _regions(taken: Rates) -> list[Row]:
+    """400 tiles as one grid, and as 400 replies."""
+    forms = {"region": "one region", "tiles": "as 400 tile replies"}
     return [
         rounds_row(
-            f"{kind}.{link}", f"400 tiles, 2 layers, {kinds[kind][0]}, {links[link]}", "MB/s", ours,
+            f"{kind}.{link}", f"400 tiles, 2 layers, {forms[kind]}, {LINKS[link]}", "MB/s", ours,
             mark=Mark(0.7, "ratio", least=True) if kind == "region" else None,
             reference="echo of the same bytes", beside=beside,
         )

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 import zenoh
 from figures import Bench
+from roughmap_commands import ServiceProcess
 from scans import NOISE, POSE_VARIANCE, START_NS, SWEEP_NS, Recording
 
-from roughmap_client.session import ask
 from roughmap_schemas.cloud import encode_cloud
 from roughmap_schemas.odometry import encode_odometry
-from roughmap_service.cli.demo.processes import ServiceProcess
 
 MAP, ROBOT, SENSOR = "bench", "rover", "lidar"
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -45,8 +44,7 @@ def served(folder: Path, more: str = "") -> Iterator[ServiceProcess]:
     """A service, once it is ready; in the end it is stopped in order."""
     with ServiceProcess(configuration(folder, more), folder / "serve.txt") as service:
         yield service
-        if service.stop() != 0:
-            raise RuntimeError(f"the service did not end well: {service.last_words()}")
+        service.stop()
 
 
 def open_session(endpoints: list[str], *, shared_memory: bool = True) -> zenoh.Session:
@@ -71,7 +69,9 @@ class Decided:
         self._changed = threading.Condition()
         self._subscriber = session.declare_subscriber(f"maps/{MAP}/events", self._take)
         # An answer shows that the service has heard of what was declared before the question.
-        ask(session, f"maps/{MAP}/status", timeout=WAIT_S).single()
+        replies = session.get(f"maps/{MAP}/status", timeout=WAIT_S)
+        if not any(reply.ok is not None for reply in replies):
+            raise RuntimeError("the service does not tell its status")
 
     def _take(self, sample: zenoh.Sample) -> None:
         now = time.perf_counter()

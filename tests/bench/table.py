@@ -4,11 +4,12 @@ import json
 import math
 import os
 import platform
+from collections.abc import Sequence
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
-from figures import Row
+from figures import Mark, Row
 
 HEAD = ("figure", "mark", "measured", "spread", "reference", "ratio", "met")
 
@@ -66,7 +67,12 @@ def mark_text(row: Row) -> str:
     mark = row.mark
     if mark is None:
         return ""
-    return f"{'>=' if mark.least else '<='} {short(mark.bound)} {'x' if mark.of == 'ratio' else row.unit}"
+    return f"{bound_text('', mark)} {'x' if mark.of == 'ratio' else row.unit}".strip()
+
+
+def bound_text(what: str, mark: Mark) -> str:
+    """The condition on ``what``, without unit."""
+    return f"{what} {'>=' if mark.least else '<='} {short(mark.bound)}".strip()
 
 
 def short(value: float | None) -> str:
@@ -79,10 +85,14 @@ def short(value: float | None) -> str:
 
 
 def lines(rows: list[Row]) -> list[str]:
-    """The table as Markdown that also reads as text, without columns that say nothing."""
-    full = [_cells(row) for row in rows]
-    kept = [k for k in range(len(HEAD)) if any(line[k] for line in full)]
-    cells = [[line[k] for k in kept] for line in (HEAD, *full)]
+    """The table as Markdown that also reads as text."""
+    return aligned(HEAD, [_cells(row) for row in rows])
+
+
+def aligned(head: Sequence[str], full: Sequence[Sequence[str]]) -> list[str]:
+    """A Markdown table of such lines under ``head``, without columns that say nothing."""
+    kept = [k for k in range(len(head)) if any(line[k] for line in full)]
+    cells = [[line[k] for k in kept] for line in (head, *full)]
     wide = [max(len(line[k]) for line in cells) for k in range(len(kept))]
     text = ["| " + " | ".join(cell.ljust(w) for cell, w in zip(line, wide, strict=True)) + " |" for line in cells]
     return [text[0], "|" + "|".join("-" * (w + 2) for w in wide) + "|", *text[1:]]
