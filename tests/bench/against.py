@@ -35,7 +35,7 @@ FAILURES = 2
 LEGEND = """\
 Both in the same Python, with the same libraries and the same scans. A pair is a fresh process of each.
 old, new: medians over the pairs. new / old: the median of the pairs' own ratios, beside their quartiles;
-where these lie on both sides of 1, no difference is seen. kernel: CPU time of one thread; threads: wall time."""
+where these lie on both sides of 1, no difference is seen (even). kernel: CPU time of one thread; threads: wall time."""
 
 
 def say(text: str) -> None:

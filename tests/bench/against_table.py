@@ -43,12 +43,12 @@ class Compared:
 
     @property
     def verdict(self) -> str:
-        """What the new version is: the same where the quartiles, as shown, lie on both sides of 1."""
+        """What the new version is: even where the quartiles, as shown, lie on both sides of 1."""
         if self.quartiles is None or len(self.ratios) < ENOUGH:
             return ""
         low, _, high = (round(value, DIGITS) for value in self.quartiles)
         if low <= 1.0 <= high:
-            return "the same"
+            return "even"
         return "better" if (low > 1.0) == self.spec.more else "worse"
 
     @property
@@ -87,7 +87,7 @@ def lines(rows: Sequence[Compared]) -> list[str]:
     """The table, then why what is missing is missing."""
     text = aligned(HEAD, [_cells(row) for row in rows])
     why = [f"- {row.spec.key}: {name}: {said}" for row in rows for name, said in row.why.items()]
-    return [*text, *(["", "Not measured:", *why] if why else [])]
+    return [*text, *(["", "Not measured, or not every time:", *why] if why else [])]
 
 
 def _cells(row: Compared) -> tuple[str, ...]:

@@ -57,8 +57,8 @@ def test_a_pair_that_lacks_a_value_gives_no_ratio_but_the_other_value_counts() -
     [
         ([8.0, 9.0, 9.5], "better", "worse"),
         ([10.6, 11.0, 12.0], "worse", "better"),
-        ([8.0, 9.0, 14.0], "the same", "the same"),
-        ([9.98, 9.97, 9.99], "the same", "the same"),
+        ([8.0, 9.0, 14.0], "even", "even"),
+        ([9.98, 9.97, 9.99], "even", "even"),
         ([5.0, 5.0], "", ""),
     ],
 )
