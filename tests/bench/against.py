@@ -102,7 +102,7 @@ def measured(rows: Sequence[Compared], versions: Sequence[Version], given: argpa
             continue
         comparison = Comparison(job, own, versions, {"scans": str(out), "quick": given.quick})
         pairs = given.pairs or (1 if given.quick else usual)
-        say(f"{job}: {pairs} pairs of processes; what runs first may compile kernels for a minute or two")
+        say(f"{job}: pairs of processes: {pairs}; the first may compile kernels for a minute or two")
         if not given.quick:
             comparison.warm_up()
         for number in range(pairs):

@@ -146,7 +146,7 @@ def test_ctrl_c_leaves_no_sources_and_no_process(tmp_path: Path) -> None:
         arguments, stderr=subprocess.PIPE, text=True, env={**os.environ, "TMPDIR": str(temporary)}
     ) as process:
         assert process.stderr is not None
-        assert "kernel: 1 pairs" in process.stderr.readline(), "it says what it does once the sources are there"
+        assert "kernel: pairs of processes: 1" in process.stderr.readline(), "said once the sources are there"
         assert str(temporary) in worktrees()
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=WAIT_S)
