@@ -172,8 +172,8 @@ def test_status_has_every_member(served: Served) -> None:
         "layers",
         "bounds", "extent", "error_model", "configuration_digest", "health", "problems", "sequence",
         "durable_sequence", "input",
-            "newest_stamp_ns", "clouds", "points", "poses", "refused", "gaps", "jumps", "recent", "lag_s", "rates",
-            "memory_bytes", "tiles", "log", "uptime_s",
+        "newest_stamp_ns", "clouds", "points", "poses", "refused", "gaps", "jumps", "recent", "lag_s", "rates",
+        "memory_bytes", "tiles", "log", "uptime_s",
     }  # fmt: skip
     assert (status["epoch"], status["sequence"], status["tile_cells"]) == (5, served.map.sequence, 64)
     assert status["extent"] == list(served.map.extent() or ())
