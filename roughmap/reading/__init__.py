@@ -1,7 +1,8 @@
 """Reading a map: frozen maps, coarser levels, layers, terrain and regions.
 
 frozen.py        the frozen map: what a reader holds
-layers.py        layers from a cell's own record, and the names of all layers; error_function.py: for eq. 11
+layers.py        the names of all layers, and the checks of what is asked for
+cell_values.py   layers from a cell's own record; error_function.py: for the reference's eq. 11
 terrain.py       layers that need neighbouring cells
 levels.py        coarser levels; merge_cache.py keeps their tiles
 region.py        a rectangle of the map as arrays

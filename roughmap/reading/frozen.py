@@ -6,11 +6,13 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
+import numpy.typing as npt
 import xxhash
 
 from roughmap.arrays import F8, I4, I8, Records
 from roughmap.cell import CELL_DTYPE, TILE_CELLS
 from roughmap.reading import layers, levels, terrain
+from roughmap.reading.cell_values import cell_layers, packed_cell_layers
 from roughmap.reading.merge_cache import MergeCache
 from roughmap.tiles.index import TILE_LIMIT, TileBox
 from roughmap.tiles.table import TileTable
@@ -37,7 +39,7 @@ class _SortedTiles:
         if not (-TILE_LIMIT <= x < TILE_LIMIT and -TILE_LIMIT <= y < TILE_LIMIT):
             return -1
         packed = (x << 32) + y
-        place = int(np.searchsorted(self._packed, packed))
+        place = int(self._packed.searchsorted(packed))
         return place if place < len(self._packed) and self._packed[place] == packed else -1
 
 
@@ -145,6 +147,8 @@ class FrozenMap:
     def stamps(self, x: int, y: int) -> tuple[int, int]:
         """Return the oldest and the newest stamp, in ns, of the level-0 tiles under the tile. KeyError if absent."""
         base, z = self._index[0], self.level
+        if z == 0 and (place := base.find(x, y)) >= 0:
+            return int(self._oldest_ns[place]), int(self._newest_ns[place])
         low, high = np.searchsorted(base.x, (x << z, (x + 1) << z))
         below = np.flatnonzero(base.y[low:high] >> z == y) + low
         if below.size == 0:
@@ -177,10 +181,33 @@ class FrozenMap:
         tolerance = layers.check_tolerance(height_tolerance)
         bounds = layers.check_limits(limits)
         own = [name for name in names if name in layers.CELL_LAYERS]
-        found = layers.cell_layers(self.records(x, y), own, tolerance, self.newest_updated)
+        found = cell_layers(self.records(x, y), own, tolerance, self.newest_updated)
         if len(own) < len(names):
             found |= self._neighbour_layers(x, y, names, tolerance, bounds)
         return {name: found[name] for name in names}
+
+    def packed_layers(
+        self,
+        x: int,
+        y: int,
+        names: Iterable[str],
+        height_tolerance: float = 0.05,
+        limits: Mapping[str, float] | None = None,
+    ) -> npt.NDArray[np.float32]:
+        """Return what `tile_layers` does as one array, (64, 64, L) float32: all layers of a cell together.
+
+        Values that float32 can't hold are infinite.
+        """
+        names = layers.check_names(names)
+        if all(name in layers.CELL_LAYERS for name in names):
+            tolerance = layers.check_tolerance(height_tolerance)
+            layers.check_limits(limits)
+            return packed_cell_layers(self.records(x, y), names, tolerance, self.newest_updated)
+        packed = np.empty((TILE_CELLS, TILE_CELLS, len(names)), np.float32)
+        with np.errstate(over="ignore"):
+            for number, plane in enumerate(self.tile_layers(x, y, names, height_tolerance, limits).values()):
+                packed[:, :, number] = plane
+        return packed
 
     def _neighbour_layers(
         self, x: int, y: int, names: tuple[str, ...], tolerance: float, limits: layers.GroundLimits
@@ -202,7 +229,7 @@ class FrozenMap:
             return terrain.derive(mean, side)
         records = self._records(z, x, y)
         names = ("std_dev", "range", "confidence_level")
-        spread = layers.cell_layers(UNKNOWN_TILE if records is None else records, names, tolerance, 0)
+        spread = cell_layers(UNKNOWN_TILE if records is None else records, names, tolerance, 0)
         return terrain.derive(mean, side, limits, *spread.values())
 
     def _traversability(self, z: int, x: int, y: int, tolerance: float, limits: layers.GroundLimits) -> F8 | None:

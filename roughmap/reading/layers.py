@@ -1,13 +1,11 @@
-"""The layers computed from a cell's own record, and the names of all layers."""
+"""The names of all layers, and the checks of what a caller asks for."""
 
 from collections.abc import Iterable, Mapping
-from functools import cached_property
 from math import inf, isfinite
 
 import numpy as np
 
-from roughmap.arrays import F8, Flags, Records
-from roughmap.reading.error_function import erf
+from roughmap.arrays import F8
 
 CELL_LAYERS = (
     "mean_height",
@@ -59,82 +57,6 @@ def check_tolerance(height_tolerance: float) -> float:
 def unknown_plane(name: str, shape: tuple[int, ...]) -> F8:
     """Return a layer of unknown cells: NaN, but 0 for ``count`` and ``weight``."""
     return np.full(shape, 0.0 if name in ZERO_WHERE_UNKNOWN else np.nan)
-
-
-def cell_layers(records: Records, names: Iterable[str], height_tolerance: float, newest_updated: int) -> dict[str, F8]:
-    """Return the layers ``names``, all of ``CELL_LAYERS``, in this order, as float64 in the shape of ``records``.
-
-    ``records``: of ``CELL_DTYPE``, of any level. Units are metres and seconds; unknown values are NaN.
-    ``height_tolerance``: full width d of the interval of ``confidence_level`` (eq. 11). ``newest_updated``: newest
-    `updated` of the map, from which ``age`` is counted. KeyError for a name that is not in ``CELL_LAYERS``.
-    """
-    state = _Cells(records, height_tolerance, newest_updated)
-    return {name: _FORMULAS[name](state) for name in names}
-
-
-class _Cells:
-    """Records and the quantities that several layers share, each computed once, on first use."""
-
-    def __init__(self, records: Records, height_tolerance: float, newest_updated: int) -> None:
-        self.records = records
-        self.height_tolerance = height_tolerance
-        self.newest_updated = newest_updated
-
-    @cached_property
-    def unknown(self) -> Flags:
-        unknown: Flags = self.records["count"] == 0
-        return unknown
-
-    def known(self, values: F8) -> F8:
-        """Return a copy of ``values`` with NaN in unknown cells."""
-        return np.where(self.unknown, np.nan, values)
-
-    @cached_property
-    def expected_count(self) -> F8:
-        """n = W^2 / W2."""
-        weight = self.records["weight"]
-        with np.errstate(invalid="ignore"):
-            return self.known(weight * weight / self.records["weight_sq"])
-
-    @cached_property
-    def std_dev(self) -> F8:
-        """Eq. 6 for weights: sqrt(m2 / (W - W2/W)); NaN where the expected number of points is at most one."""
-        weight = self.records["weight"]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            spread = np.sqrt(self.records["m2"] / (weight - self.records["weight_sq"] / weight))
-            return np.where((self.records["count"] >= 2) & (self.expected_count > SINGLE_POINT), spread, np.nan)
-
-    def confidence_level(self) -> F8:
-        """Eq. 11: 2F(x) - 1 = erf(x / sqrt 2) with x = d sqrt(n) / (2 std_dev); erf(inf) = 1 where std_dev is 0."""
-        with np.errstate(divide="ignore", over="ignore"):
-            half_widths = self.height_tolerance * np.sqrt(self.expected_count) / (2.0 * self.std_dev)
-        return erf(half_widths / np.sqrt(2.0))
-
-    def confidence_factor(self) -> F8:
-        """Eq. 15, 16: 1 / inv_cf."""
-        with np.errstate(divide="ignore"):
-            return self.known(1.0 / self.records["inv_cf"])
-
-    def age(self) -> F8:
-        """Seconds from the cell's `updated` to the newest of the map."""
-        return self.known(float(self.newest_updated) - self.records["updated"])
-
-
-_FORMULAS = {
-    "mean_height": lambda cells: cells.known(cells.records["mean"]),
-    "mid_range_height": lambda cells: cells.known(0.5 * (cells.records["max"] + cells.records["min"])),
-    "max_height": lambda cells: cells.known(cells.records["max"]),
-    "min_height": lambda cells: cells.known(cells.records["min"]),
-    "std_dev": lambda cells: cells.std_dev,
-    "range": lambda cells: cells.known(cells.records["max"] - cells.records["min"]),
-    "confidence_level": _Cells.confidence_level,
-    "confidence_factor": _Cells.confidence_factor,
-    "mean_variance": lambda cells: cells.std_dev**2 / cells.expected_count,
-    "count": lambda cells: cells.records["count"].astype(np.float64),
-    "weight": lambda cells: cells.records["weight"].astype(np.float64),
-    "expected_count": lambda cells: cells.expected_count,
-    "age": _Cells.age,
-}
 
 
 LIMIT_NAMES = ("slope", "step", "std_dev", "range", "confidence")

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from served import INSTANCE, RUN, T0, S, filled, some_points
 
-from roughmap_schemas import Config, Keys
+from roughmap_schemas import Config, Keys, decode_grid
 from roughmap_schemas.messages import TileInfo, model_bytes
-from roughmap_service.answers.drawn_tile import DrawnTile, drawn_tile
+from roughmap_service.answers.drawn_tile import DrawnTile
 from roughmap_service.answers.map_reader import MapReader
 from roughmap_service.answers.plan import Reply
 from roughmap_service.answers.region import plan_region
@@ -19,39 +19,61 @@ from roughmap_service.answers.tile_cache import ENTRY_BYTES, TileCache
 from roughmap_service.answers.tiles import TileQueries
 from roughmap_service.run.view import View
 
+INFO = TileInfo(
+    map="site", instance=INSTANCE, epoch=5, z=0, x=1, y=2, sequence=3, map_sequence=0, answer_tiles=0,
+    oldest_ns=T0, newest_ns=T0, known_cells=0, digest="0" * 32, configuration_digest="0" * 32,
+)  # fmt: skip
+BLANK = np.zeros((64, 64, 1), np.float32)
+BYTES = BLANK.nbytes
 
-def drawn(size: int) -> DrawnTile:
-    info = TileInfo(
-        map="site", instance=INSTANCE, epoch=5, z=0, x=1, y=2, sequence=3, map_sequence=0, answer_tiles=0,
-        oldest_ns=T0, newest_ns=T0, known_cells=0, digest="0" * 32, configuration_digest="0" * 32,
-    )  # fmt: skip
-    return drawn_tile(bytes(size), info, np.zeros((64, 64), np.bool_))
+
+def drawn(info: TileInfo = INFO, values: np.ndarray = BLANK) -> DrawnTile:
+    return DrawnTile(info, ["mean_height"], values, bytes(512), 0.1, "map")
 
 
 def test_what_was_not_asked_for_the_longest_goes_first() -> None:
-    cache = TileCache(3 * (1000 + ENTRY_BYTES))
+    cache = TileCache(3 * (BYTES + ENTRY_BYTES))
     made = []
 
     def ask(key: str) -> None:
         def draw() -> DrawnTile:
             made.append(key)
-            return drawn(1000)
+            return drawn()
 
         cache.get(key, draw)
 
     for key in "abcaabdadc":
         ask(key)
-        assert cache.nbytes <= 3 * (1000 + ENTRY_BYTES)
+        assert cache.nbytes <= 3 * (BYTES + ENTRY_BYTES)
     assert "".join(made) == "abcdc"  # d came for c, then c for b
 
 
 def test_a_tile_larger_than_the_limit_is_not_kept() -> None:
     cache = TileCache(1000)
-    assert cache.get("a", lambda: drawn(2000)).payload == bytes(2000)
+    tile = drawn()
+    assert cache.get("a", lambda: tile) is tile
     assert cache.nbytes == 0
 
 
-NUMBERS = st.integers(0, 2**63 - 1)
+def test_a_tile_is_kept_once() -> None:
+    """Before its messages are made and after: the same values, in the payload then."""
+    values = np.random.default_rng(1).normal(size=(64, 64, 1)).astype(np.float32)
+    tile = drawn(values=values)
+    assert tile.values is values
+    layer = decode_grid(tile.payload).layers["mean_height"]
+    assert layer.tobytes() == tile.values.tobytes() == values.tobytes()
+    assert tile.payload is tile.payload
+    assert tile.nbytes == BYTES
+    assert np.shares_memory(tile.values, np.frombuffer(tile.payload, np.uint8))
+
+
+def test_a_compressed_tile_is_kept_compressed() -> None:
+    tile = drawn(INFO.model_copy(update={"compression": "zstd"}))
+    assert tile.nbytes == len(tile.payload) < BYTES
+    assert decode_grid(tile.payload, "zstd").layers["mean_height"].tobytes() == BLANK.tobytes()
+
+
+NUMBERS = st.integers(0, 2**61)  # a stamp in ns is below 2^32 s
 INFOS = st.builds(
     TileInfo, map=st.text(), instance=st.text(), epoch=NUMBERS, z=NUMBERS, x=st.none() | st.integers(),
     y=st.none() | st.integers(), sequence=NUMBERS, map_sequence=st.just(0), answer_tiles=st.just(0), oldest_ns=NUMBERS,
@@ -62,7 +84,7 @@ INFOS = st.builds(
 
 @given(INFOS, NUMBERS, NUMBERS)
 def test_an_attachment_has_the_bytes_that_the_model_has(info: TileInfo, map_sequence: int, answer_tiles: int) -> None:
-    tile = drawn_tile(b"", info, np.zeros((64, 64), np.bool_))
+    tile = drawn(info)
     in_answer = TileInfo.model_validate(
         {**info.model_dump(), "map_sequence": map_sequence, "answer_tiles": answer_tiles}
     )

@@ -1,4 +1,4 @@
-"""What the first scan would wait for is compiled before the service is ready."""
+"""What the first scan and the first query would wait for is compiled before the service is ready."""
 
 import logging
 import threading
@@ -10,15 +10,17 @@ from numba.core.dispatcher import Dispatcher
 
 from roughmap.integration import blocks, phases, tile_update
 from roughmap.points import place
+from roughmap.reading import cell_values, levels, terrain
+from roughmap.reading.cell_values import known_bits
 from roughmap.tiles import changes, index, slots
-from roughmap_schemas import Config, contract_timed, decode_cloud, encode_cloud
+from roughmap_schemas import LAYERS, Config, contract_timed, decode_cloud, encode_cloud
 from roughmap_service.engine import warmup
 from roughmap_service.engine.warmup import UNTURNED, warm_up
 from roughmap_service.run.placing import place_cloud
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.settings import Settings, new_map
 
-MODULES = (blocks, phases, place, tile_update, changes, index, slots)
+MODULES = (blocks, phases, place, tile_update, changes, index, slots, cell_values, levels, terrain)
 
 
 def compiled() -> dict[str, int]:
@@ -32,7 +34,7 @@ def compiled() -> dict[str, int]:
 
 
 @pytest.mark.parametrize("model", ["point", "cuboid", "ellipsoid"])
-def test_no_cloud_finds_a_kernel_uncompiled(model: str) -> None:
+def test_no_cloud_and_no_query_finds_a_kernel_uncompiled(model: str) -> None:
     config = Config.model_validate({"map": {"error_model": model}, "sensors": {"lidar": {"range_sigma": 0.02}}})
     warm_up(config, threading.Event())
     before = compiled()
@@ -53,6 +55,12 @@ def test_no_cloud_finds_a_kernel_uncompiled(model: str) -> None:
             layouts.add((dtype, cloud.points.flags.aligned, cloud.points.flags.c_contiguous))
             with rough_map.freeze():
                 rough_map.integrate(place_cloud(rough_map, "", cloud, line, settings))
+        for level in (0, 1):
+            with rough_map.freeze(level) as frozen:
+                known_bits(frozen.records(0, 0))
+                for name in LAYERS:
+                    frozen.packed_layers(0, 0, [name])
+                    frozen.tile_layers(0, 0, [name])
     assert {aligned for _, aligned, _ in layouts} == {True, False}, "both kinds came by"
     assert {packed for _, _, packed in layouts} == {True, False}, "and with other fields between"
     assert compiled() == before

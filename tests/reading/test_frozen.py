@@ -10,7 +10,8 @@ from read_tools import TILE_SHAPE, chance_tile
 from roughmap.cell import CELL_DTYPE
 from roughmap.map import RoughMap
 from roughmap.reading import levels
-from roughmap.reading.layers import CELL_LAYERS, LAYERS, cell_layers
+from roughmap.reading.cell_values import cell_layers
+from roughmap.reading.layers import CELL_LAYERS, LAYERS
 from roughmap.reading.merge_cache import MergeCache
 
 SIDE = 0.25

@@ -8,11 +8,11 @@ import pytest
 from read_tools import cell_of
 
 from roughmap.cell import CELL_DTYPE
+from roughmap.reading.cell_values import cell_layers
 from roughmap.reading.layers import (
     CELL_LAYERS,
     LAYERS,
     LIMIT_NAMES,
-    cell_layers,
     check_limits,
     check_names,
     check_tolerance,

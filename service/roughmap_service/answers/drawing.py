@@ -7,11 +7,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from roughmap.cell import TILE_CELLS
+from roughmap.reading.cell_values import known_bits
 from roughmap.reading.frozen import FrozenMap
-from roughmap_schemas.grid import Compression, encode_grid
+from roughmap_schemas.grid import Compression
 from roughmap_schemas.messages import TileInfo
-from roughmap_service.answers.drawn_tile import DrawnTile, drawn_tile
+from roughmap_service.answers.drawn_tile import DrawnTile, Values
 from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.answers.tile_cache import TileCache
 
@@ -84,19 +84,10 @@ class Drawing:
         frozen, form = self.frozen, self.form
         if isinstance(frozen, TileList):
             raise NotDrawnYet
-        layers = frozen.tile_layers(x, y, form.layers, form.tolerance, form.limits)
-        known = frozen.records(x, y)["count"] != 0
-        known_cells = int(np.count_nonzero(known))
+        records = frozen.records(x, y)
+        values = self._values(frozen, x, y)
+        known_cells, known = known_bits(records)
         oldest_ns, newest_ns = frozen.stamps(x, y) if known_cells else (0, 0)
-        payload = encode_grid(
-            layers,
-            (x * TILE_CELLS * frozen.cell_size, y * TILE_CELLS * frozen.cell_size),
-            frozen.cell_size,
-            newest_ns,
-            self.served.frame_id,
-            dtype=form.dtype,
-            compression=form.compression,
-        )
         info = TileInfo(
             map=self.served.map,
             instance=self.served.instance,
@@ -114,4 +105,10 @@ class Drawing:
             configuration_digest=self.served.configuration_digest,
             compression=form.compression,
         )
-        return drawn_tile(payload, info, known)
+        return DrawnTile(info, form.layers, values, known, frozen.cell_size, self.served.frame_id)
+
+    def _values(self, frozen: FrozenMap, x: int, y: int) -> Values:
+        form = self.form
+        if form.dtype == "f4":
+            return frozen.packed_layers(x, y, form.layers, form.tolerance, form.limits)
+        return np.stack(list(frozen.tile_layers(x, y, form.layers, form.tolerance, form.limits).values()), axis=-1)

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from roughmap.cell import TILE_CELLS
 from roughmap.reading.layers import ZERO_WHERE_UNKNOWN
 from roughmap.reading.region import CellBox, cell_box, overlap, tile_box
 from roughmap_schemas.encodings import GRID
 from roughmap_schemas.faults import QueryFault
-from roughmap_schemas.grid import Compression, encode_packed, packed_data
+from roughmap_schemas.grid import Compression, encode_packed
 from roughmap_schemas.messages import TileInfo, model_bytes
 from roughmap_schemas.reasons import QueryCode
 from roughmap_schemas.selectors import Bbox, RegionQuery
@@ -91,21 +90,19 @@ def _mosaic(drawing: Drawing, cells: CellBox, compression: Compression, key: str
     x0, y0, x1, y1 = tile_box(cells)
     inside = (frozen.tiles >= (x0, y0)).all(axis=1) & (frozen.tiles <= (x1, y1)).all(axis=1)
     tiles, sequences = frozen.tiles[inside].tolist(), frozen.sequences[inside].tolist()
+    drawn = [drawing.tile(x, y, sequence) for (x, y), sequence in zip(tiles, sequences, strict=True)]
     packed = np.empty((j1 - j0, i1 - i0, len(form.layers)), np.dtype(f"<{form.dtype}"))
     if len(tiles) < (x1 - x0 + 1) * (y1 - y0 + 1):
         blank = [0.0 if name in ZERO_WHERE_UNKNOWN else np.nan for name in form.layers]
         # Ten times as fast as packed[:] = blank.
         packed.reshape(j1 - j0, -1)[:] = np.tile(np.array(blank, packed.dtype), i1 - i0)
-    known_cells, stamps = 0, []
+    known_cells = 0
     along_x = {x: overlap(x, i0, i1) for x in range(x0, x1 + 1)}
     along_y = {y: overlap(y, j0, j1) for y in range(y0, y1 + 1)}
-    for (x, y), sequence in zip(tiles, sequences, strict=True):
-        drawn = drawing.tile(x, y, sequence)
+    for (x, y), tile in zip(tiles, drawn, strict=True):
         (across, columns), (up, rows) = along_x[x], along_y[y]
-        values = packed_data(drawn.payload, (TILE_CELLS, TILE_CELLS, len(form.layers)), form.dtype)
-        packed[up, across] = values[rows, columns]
-        known_cells += drawn.known_among(rows, columns)
-        stamps.append((drawn.info.oldest_ns, drawn.info.newest_ns))
+        packed[up, across] = tile.values[rows, columns]
+        known_cells += tile.known_among(rows, columns)
     info = TileInfo(
         map=served.map,
         instance=served.instance,
@@ -116,8 +113,8 @@ def _mosaic(drawing: Drawing, cells: CellBox, compression: Compression, key: str
         sequence=max(sequences, default=0),
         map_sequence=frozen.sequence,
         answer_tiles=1,
-        oldest_ns=min((oldest for oldest, _ in stamps), default=0),
-        newest_ns=max((newest for _, newest in stamps), default=0),
+        oldest_ns=min((tile.info.oldest_ns for tile in drawn), default=0),
+        newest_ns=max((tile.info.newest_ns for tile in drawn), default=0),
         known_cells=known_cells,
         digest=None,
         configuration_digest=served.configuration_digest,

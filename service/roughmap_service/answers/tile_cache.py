@@ -1,4 +1,4 @@
-"""Drawn tiles kept for the next reader: each state of a tile is read and encoded once."""
+"""Drawn tiles kept for the next reader: each state of a tile is read and drawn once."""
 
 import threading
 from collections import OrderedDict
@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable
 from roughmap_service.answers.drawn_tile import DrawnTile
 
 ENTRY_BYTES = 4096
-"""Cost of an entry beside its payload: key, info and its JSON, known cells, objects."""
+"""Cost of an entry beside its cells: key, info and its JSON, known cells, objects."""
 
 
 class TileCache:
@@ -48,4 +48,4 @@ class TileCache:
 
 
 def _cost(drawn: DrawnTile) -> int:
-    return len(drawn.payload) + ENTRY_BYTES
+    return drawn.nbytes + ENTRY_BYTES

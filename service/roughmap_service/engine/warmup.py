@@ -5,6 +5,7 @@ import threading
 
 import numpy as np
 
+from roughmap.reading.cell_values import known_bits
 from roughmap.tiles.index import rehash
 from roughmap.tiles.slots import SlotPool
 from roughmap_schemas import Config, contract_timed, decode_cloud, encode_cloud
@@ -55,7 +56,9 @@ def _run(config: Config, stop: threading.Event) -> None:
             payload = encode_cloud(points, 0, frame, offsets_ns=np.arange(len(points)) * 1000)
             cloud = contract_timed(decode_cloud(payload, max_message=LIMIT, max_points=LIMIT))
             # While a reader holds a frozen map, tiles are copied before they change; that has a kernel too.
-            with rough_map.freeze():
+            with rough_map.freeze() as frozen:
+                frozen.packed_layers(0, 0, ["mean_height"])
+                known_bits(frozen.records(0, 0))
                 rough_map.integrate(place_cloud(rough_map, robot, cloud, line, settings))
         rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height", "confidence_level", "traversability"], level=0)
         rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height"], level=config.map.levels - 1)
