@@ -8,21 +8,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
-from mcap.writer import CompressionType, Writer
-
 from roughmap_schemas import RunMetadata
 from roughmap_schemas.kinds import Kind
 from roughmap_schemas.run_metadata import RECORD_NAME
 from roughmap_service.host.disk import sync, sync_directory
 from roughmap_service.journal.channels import channel_schema
+from roughmap_service.journal.mcap_writer import McapWriter
 from roughmap_service.journal.records import LogRecord
 
 CHUNK_BYTES = 64 * 1024
 """Chunk size. Small chunks lose little to a kill; a scan is larger and gets a chunk of its own."""
 
 PROFILE = "roughmap"
-
-COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
 
 OpenFile = Callable[[Path], IO[bytes]]
 
@@ -61,12 +58,10 @@ class LogFile:
         self._closed = False
         self._stream = open_file(path)
         try:
-            self._writer = Writer(
-                self._stream, chunk_size=CHUNK_BYTES, compression=COMPRESSIONS[compression], enable_data_crcs=True
-            )
+            self._writer = McapWriter(self._stream, chunk_bytes=CHUNK_BYTES, compression=compression)
             self._channels: dict[tuple[Kind, str], int] = {}
             self._schemas: dict[Kind, int] = {}
-            self._writer.start(profile=PROFILE)
+            self._writer.start(PROFILE)
             self._writer.add_metadata(RECORD_NAME, metadata.to_record())
             self.sync()
             sync_directory(path.parent)
@@ -87,18 +82,12 @@ class LogFile:
     def write(self, record: LogRecord) -> None:
         """Append a message. Its log time is its receive time, raised where needed: log times rise in file order."""
         self.last_ns = max(record.received_ns, self.last_ns + 1)
-        self._writer.add_message(
-            channel_id=self._channel(record.kind, record.topic),
-            log_time=self.last_ns,
-            data=record.payload,
-            publish_time=record.stamp_ns,
-            sequence=record.number & 0xFFFFFFFF,
-        )
+        channel, number = self._channel(record.kind, record.topic), record.number & 0xFFFFFFFF
+        self._writer.add_message(channel, self.last_ns, record.payload, record.stamp_ns, number)
 
     def flush(self) -> int:
         """End the chunk and hand everything to the operating system; return the file's length."""
         self._writer.flush()
-        self._stream.flush()
         return self._stream.tell()
 
     def sync(self) -> int:

@@ -7,6 +7,9 @@ from collections.abc import Iterable
 from roughmap_service.journal.items import Item, Rotate, Sync, cost
 from roughmap_service.journal.records import LogRecord
 
+PROMPT_BYTES = 64 * 1024
+"""Queued bytes that the log's thread takes at once. Fewer wait for its next flush: waking costs more than they do."""
+
 
 class LogQueue:
     """Items in order, the memory they take until they are on the disk, and why the log can't be written, if it can't.
@@ -20,6 +23,9 @@ class LogQueue:
         self._changed = threading.Condition()
         self._items: deque[Item] = deque()
         self._held = 0
+        self._queued = 0
+        self._prompt = False
+        self._idle = True
         self._rotations = 0
         self._impatient: set[Sync] = set()
         self._error = ""
@@ -100,11 +106,16 @@ class LogQueue:
             return self._changed.wait_for(lambda: self._ending, timeout)
 
     def take(self, timeout: float | None) -> tuple[list[Item], bool]:
-        """Wait at most ``timeout`` s (None: without limit) for items or `end`; return all items, and whether to end."""
+        """Return all items, and whether to end. Wait for `end`, or without ``timeout`` for an item.
+
+        With one, in s, wait at most so long for a `Sync`, a `Rotate` or `PROMPT_BYTES` of records.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: self._ending or bool(self._items), timeout)
+            self._idle = timeout is None
+            self._changed.wait_for(lambda: self._ending or self._prompt or (self._idle and bool(self._items)), timeout)
             items = list(self._items)
             self._items.clear()
+            self._queued, self._prompt = 0, False
             return items, self._ending
 
     def release(self, items: Iterable[Item]) -> None:
@@ -143,6 +154,10 @@ class LogQueue:
 
     def _append(self, item: Item) -> None:
         self._items.append(item)
-        self._held += cost(item)
+        size = cost(item)
+        self._held += size
+        self._queued += size
         self._rotations += isinstance(item, Rotate)
-        self._changed.notify_all()
+        self._prompt |= self._queued >= PROMPT_BYTES or not isinstance(item, LogRecord)
+        if self._prompt or self._idle:
+            self._changed.notify_all()

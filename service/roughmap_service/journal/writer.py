@@ -63,6 +63,7 @@ class LogWriter:
         self._files = FileSequence(directory, metadata, compression=compression, open_file=open_file, last_ns=last_ns)
         self._todo: deque[Item] = deque()  # taken from the queue and not yet written
         self._unsynced: list[Item] = []  # written since the last sync
+        self._sync_asked = False  # by one of these
         self._last_flush = self._last_sync = time.monotonic()
         self._disk = threading.Lock()  # guards the next two
         self._asked: float | None = None  # when the disk was given what it is busy with
@@ -189,9 +190,10 @@ class LogWriter:
             self._unsynced.append(self._todo.popleft())
             if isinstance(item, LogRecord):
                 self._files.write(item)
+            else:
+                self._sync_asked = True
         now = time.monotonic()
-        asked = any(isinstance(item, Sync) for item in self._unsynced)
-        if asked or now - self._last_sync >= SYNC_SECONDS or self._queue.over_half:
+        if self._sync_asked or now - self._last_sync >= SYNC_SECONDS or self._queue.over_half:
             self._sync()
         elif now - self._last_flush >= self._flush_interval:
             self._busy_since(now)
@@ -210,7 +212,7 @@ class LogWriter:
         begun = time.monotonic()
         self._busy_since(begun)
         self._files.sync()
-        done, self._unsynced = self._unsynced, []
+        done, self._unsynced, self._sync_asked = self._unsynced, [], False
         self._queue.release(done)
         self._last_flush = self._last_sync = time.monotonic()
         self._busy_since(self._last_sync)
