@@ -1,20 +1,24 @@
 """What is let in from real sessions when nobody takes it up: what is dropped, what is refused, what never is."""
 
 import threading
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
+from typing import cast
 
 import pytest
 import zenoh
-from net import open_pair, wait_for
+from net import WAIT_S, open_pair, wait_for
 
 from roughmap_client import QueryRefused
 from roughmap_client.session import ask
 from roughmap_schemas import Config, Keys
+from roughmap_schemas.kinds import Kind
 from roughmap_service.host.counters import Counters
-from roughmap_service.inputs.queue import InputQueue
-from roughmap_service.inputs.receipts import ReceiptSender
+from roughmap_service.inputs.queue import COMPANY, InputMessage, InputQueue
+from roughmap_service.inputs.receipts import IngestReply, ReceiptSender
 from roughmap_service.inputs.streams import Streams
 from roughmap_service.inputs.subscriptions import ZenohInputs
 
@@ -193,3 +197,45 @@ def test_encodings_that_the_key_makes_clear(door: Door, encoding: str) -> None:
     door.settle()
     assert door.taken() == [("points", "a", 1)]
     assert not door.counters.snapshot().refused["bad_encoding"]
+
+
+def message(kind: Kind, mark: int, reply: IngestReply | None = None) -> InputMessage:
+    return InputMessage(kind, "rover", bytes([mark]), 0, time.monotonic(), reply)
+
+
+@pytest.mark.parametrize("last", ["cloud", "ingested", "company", "command", "end"])
+def test_poses_wait_together_until_something_does_not(last: str) -> None:
+    intake = InputQueue(LIMIT, Counters())
+    poses = [message(Kind.ODOMETRY, mark) for mark in range(COMPANY - 1)]
+    more: list[InputMessage] = []
+    with ThreadPoolExecutor(1) as pool, ReceiptSender() as receipts:
+        taken = pool.submit(intake.take, WAIT_S, WAIT_S)
+        for one in poses:
+            intake.put(one)
+        if last == "command":
+            intake.command(lambda: None)
+        elif last == "end":
+            intake.close()
+        else:
+            reply = IngestReply(cast("zenoh.Query", None), receipts) if last == "ingested" else None
+            more = [message(Kind.POINTS if last == "cloud" else Kind.ODOMETRY, COMPANY, reply)]
+            intake.put(more[0])
+        messages, commands, _ = taken.result(WAIT_S)
+    assert messages == poses + more
+    assert len(commands) == (last == "command")
+
+
+def test_poses_that_nothing_follows_are_taken_in_time() -> None:
+    intake = InputQueue(LIMIT, Counters())
+    intake.put(message(Kind.ODOMETRY, 1))
+    assert len(intake.take(WAIT_S, 0.001)[0]) == 1
+    assert intake.take(0.001, WAIT_S)[0] == []
+
+
+def test_what_a_turn_left_does_not_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("roughmap_service.inputs.queue.TURN_MESSAGES", 4)
+    intake = InputQueue(LIMIT, Counters())
+    for mark in range(6):
+        intake.put(message(Kind.ODOMETRY, mark))
+    taken = [intake.take(WAIT_S, WAIT_S if turn else 0.001)[0] for turn in range(2)]
+    assert [len(messages) for messages in taken] == [4, 2]

@@ -23,6 +23,12 @@ BREATH = 64
 IDLE_SECONDS = 0.5
 """The longest the sequencer sleeps. Deadlines wake it earlier; this bounds the wait for everything else."""
 
+PATIENCE_SECONDS = 0.1
+"""The longest that poses wait to be taken together while no cloud waits for them."""
+
+MEMORY_SECONDS = 0.1
+"""The longest time between two looks at the memory."""
+
 
 class NotFollowed(BaseException):
     """A logged change could not be carried out; the next start carries it out.
@@ -64,6 +70,8 @@ class Sequencer:
         self._take_snapshot = take_snapshot
         self._before_reset = before_reset
         self._heard = time.monotonic()  # all messages that arrived before it are applied
+        self._decided = True  # in the last turn
+        self._next_look = 0.0
         self._next_checkpoint = time.monotonic() + intervals.checkpoint
         self._next_snapshot = time.monotonic() + intervals.snapshot
         self._stopping = threading.Event()
@@ -147,9 +155,8 @@ class Sequencer:
     def _run(self) -> None:
         try:
             self.live.checkpoint()  # of what was recovered: the last one may be missing after a kill
-            busy = True
             while not self._stopping.is_set():
-                busy = self._turn(0.0 if busy else self._wait_seconds())
+                self._turn(self._wait_seconds())
             while self._turn(0.0):
                 pass
             self.live.checkpoint(last=True)
@@ -160,7 +167,8 @@ class Sequencer:
     def _turn(self, timeout: float) -> bool:
         """Make one turn. Return whether there was something to do."""
         self.turned = time.monotonic()
-        messages, commands, heard = self._queue.take(timeout)
+        waiting = self.live.run.inbox.deadline() is not None
+        messages, commands, heard = self._queue.take(timeout, 0.0 if waiting else PATIENCE_SECONDS)
         for number, message in enumerate(messages, 1):
             self._wait_for_log()
             self.live.accept(message, self._heard)
@@ -169,15 +177,18 @@ class Sequencer:
         self._heard = heard
         for command in commands:
             command()
-        decided = self.live.advance(heard)
-        if not decided and not messages:  # readers and queues take memory too
-            self._memory.relieve(self.live.view.reading)
+        self._decided = self.live.advance(heard)
         self._do_what_is_due()
-        return bool(messages) or bool(commands) or decided
+        return bool(messages) or bool(commands) or self._decided
 
     def _do_what_is_due(self) -> None:
-        """Checkpoint, rotate the log and take a snapshot if due."""
+        """Checkpoint, rotate the log, take a snapshot and make room in memory if due."""
         now = time.monotonic()
+        if self._decided:
+            self._next_look = now + MEMORY_SECONDS  # looked at before the cloud
+        elif now >= self._next_look:  # readers and queues take memory too
+            self._memory.relieve(self.live.view.reading)
+            self._next_look = now + MEMORY_SECONDS
         if now >= self._next_checkpoint:
             self.live.checkpoint()
             self._next_checkpoint = now + self._intervals.checkpoint
@@ -205,9 +216,12 @@ class Sequencer:
         self._memory.relieve(self.live.view.reading)
 
     def _wait_seconds(self) -> float:
+        """Return how long to wait for messages. Only right after a decision may more clouds be due for one."""
+        deadline = self.live.run.inbox.deadline()
+        if self._decided and deadline is not None:
+            return 0.0
         now = time.monotonic()
         due = [self._next_checkpoint, self._next_snapshot, now + IDLE_SECONDS]
-        deadline = self.live.run.inbox.deadline()
         if deadline is not None and self._writer.wait_room(0.0):
             due.append(deadline)
         return max(min(due) - now, 0.0)

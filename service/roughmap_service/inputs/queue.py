@@ -24,6 +24,10 @@ TURN_MESSAGES = 512
 holds up the others for no longer than these messages take, a tenth of a second."""
 
 
+COMPANY = 8
+"""Poses that end a wait for company. A cloud that comes then has no more before it: a fraction of a millisecond."""
+
+
 @dataclass(slots=True)
 class InputMessage:
     """A message that passed the checks on its key, encoding and size; not yet decoded.
@@ -85,6 +89,7 @@ class InputQueue:
     _commands: deque[Command] = field(default_factory=deque)
     _robots: dict[str, _Held] = field(default_factory=dict)
     _number: int = 0
+    _pressing: bool = False
     _wake: threading.Condition = field(default_factory=threading.Condition)
     closed: bool = False
 
@@ -97,8 +102,11 @@ class InputQueue:
     def put(self, message: InputMessage) -> None:
         """Queue a message, or drop one and count it."""
         with self._wake:
+            first = not self._robots
             dropped = self._admit(message)
-            self._wake.notify()
+            self._pressing |= message.kind is Kind.POINTS or message.reply is not None
+            if first or self._is_pressing():
+                self._wake.notify()
         for refused in dropped:
             code = Refusal.SHUTTING_DOWN if self.closed else Refusal.BUSY
             self.counters.refuse(code)
@@ -111,13 +119,16 @@ class InputQueue:
             self._commands.append(command)
             self._wake.notify()
 
-    def take(self, timeout: float) -> tuple[list[InputMessage], list[Command], float]:
+    def take(self, timeout: float, patience: float = 0.0) -> tuple[list[InputMessage], list[Command], float]:
         """Take at most `TURN_MESSAGES` messages and all commands, after waiting at most ``timeout`` s for any.
 
-        Also returns the monotonic time before which all messages that arrived have been taken.
+        Poses and transforms wait for company, ``patience`` s at most: waking for each costs more than taking it. A
+        cloud, an ingested message and a command end the wait. Also returns the monotonic time before which all messages
+        that arrived have been taken.
         """
         with self._wake:
-            self._wake.wait_for(lambda: self._robots or self._commands or self.closed, timeout)
+            if self._wake.wait_for(lambda: self._robots or self._commands or self.closed, timeout):
+                self._wake.wait_for(self._is_pressing, min(timeout, patience))
             commands = list(self._commands)
             self._commands.clear()
             share = max(TURN_MESSAGES, sum(len(held.items) for held in self._robots.values()))
@@ -125,6 +136,7 @@ class InputQueue:
                 share = TURN_MESSAGES // len(self._robots) or 1
             taken = sorted(item for held in self._robots.values() for item in held.take(share))
             self._robots = {robot: held for robot, held in self._robots.items() if held.items}
+            self._pressing = bool(self._robots)
             left = [next(iter(held.items.values())).arrival for held in self._robots.values()]
             return [message for _, message in taken], commands, min(left, default=time.monotonic())
 
@@ -133,6 +145,13 @@ class InputQueue:
         with self._wake:
             self.closed = True
             self._wake.notify()
+
+    def _is_pressing(self) -> bool:
+        """Whether there is something that should not wait for company."""
+        if self._pressing or self._commands or self.closed:
+            return True
+        robots = self._robots
+        return len(robots) >= COMPANY or sum(len(held.items) for held in robots.values()) >= COMPANY
 
     def _admit(self, message: InputMessage) -> list[InputMessage]:
         """Queue the message. Return the messages that are dropped or refused for it."""
