@@ -15,9 +15,11 @@ from roughmap import RoughMap
 from roughmap_schemas.config import Config, configuration_digest
 from roughmap_schemas.keys import Keys
 from roughmap_schemas.messages import MapStatus, QueryRecord
+from roughmap_service.answers.map_reader import MapReader
 from roughmap_service.answers.queryables import Answers
 from roughmap_service.answers.reset_history import ResetHistory
 from roughmap_service.answers.served_map import ServedMap
+from roughmap_service.answers.updates import RecordUpdate, Updates
 from roughmap_service.host.counters import Counters
 from roughmap_service.run.view import View
 from roughmap_service.watch.status import RunProgress, Status
@@ -79,6 +81,7 @@ class Served:
         self.server, self.asker = self.sessions or self._stack.enter_context(open_pair())
         self._stack.callback(self.map.close)
         self._stack.callback(self.view.wake)
+        self.reader = MapReader(self.view, self.keys, self.config, self.served_map, self.resets)
         actions = self.actions or {"reset": self.reset}
         if self.status is None:
             self.status = Status(
@@ -86,8 +89,8 @@ class Served:
             )  # fmt: skip
         self.answers = self._stack.enter_context(
             Answers(
-                self.server, self.view, self.keys, self.config, self.served_map, status=self.status,
-                control=actions, record_query=self._record, resets=self.resets,
+                self.server, self.reader, self.config.query, status=self.status, control=actions,
+                record_query=self._record,
             )
         )  # fmt: skip
         self._wait_known(self.keys.control(list(actions)[-1]))
@@ -119,6 +122,10 @@ class Served:
         with self.view.change() as rough_map:
             rough_map.add(points, S, stamp_ns)
             return rough_map.sequence
+
+    def updates(self, record: RecordUpdate = lambda *_: None, session: zenoh.Session | None = None) -> Updates:
+        """The updates of this map, to be entered."""
+        return Updates(session or self.server, self.reader, self.config, record)
 
     def reset(self) -> tuple[int, int]:
         """Reset the map as the sequencer does."""

@@ -18,6 +18,7 @@ from roughmap_schemas.config_load import LoadedConfig
 from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.messages import LogState
 from roughmap_service.answers.events import EventPublisher
+from roughmap_service.answers.map_reader import MapReader
 from roughmap_service.answers.queryables import Answers
 from roughmap_service.answers.records import OutputRecords
 from roughmap_service.answers.reset_history import ResetHistory
@@ -263,14 +264,14 @@ class Service:
         self._status = Status(view, self._counters, config, served, version("roughmap"), self._progress)
         control = Control(self._sequencer, self._snapshots, self._take_snapshot)
         records = OutputRecords(self._writer, keys, self._counters, queries=config.log.queries)
+        reader = MapReader(view, keys, config, served, self._resets)
         self._answers = stack.enter_context(
             Answers(
-                self._session, view, keys, config, served, status=self._status,
+                self._session, reader, config.query, status=self._status,
                 control={"snapshot": control.snapshot, "reset": control.reset}, record_query=records.query,
-                resets=self._resets,
             )
         )  # fmt: skip
-        stack.enter_context(Updates(self._session, view, keys, config, served, records.update, self._resets))
+        stack.enter_context(Updates(self._session, reader, config, records.update))
         stack.enter_context(StatusPublisher(self._session, keys, self._status))
 
     def _progress(self) -> RunProgress:

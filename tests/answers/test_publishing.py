@@ -13,7 +13,6 @@ from net import Gathered
 from served import INSTANCE, Served
 
 from roughmap_schemas import MapStatus
-from roughmap_service.answers.updates import Updates
 from roughmap_service.watch.status import StatusPublisher
 
 
@@ -63,9 +62,7 @@ def test_a_subscriber_right_after_a_reset_gets_the_emptied_tiles() -> None:
     with Served({"updates": {"update_hz": 50.0, "levels": [1]}}) as served:
         with served.map.freeze(1) as frozen:
             known = {(1, x, y) for x, y in frozen.tiles.tolist()}
-        with Updates(
-            served.server, served.view, served.keys, served.config, served.served_map, lambda *_: None, served.resets
-        ):
+        with served.updates():
             served.reset()
             served.add(np.array([[0.5, 0.5, 1.0]]))
             subscriber = served.asker.declare_subscriber("maps/site/updates/1/*/*", heard)
@@ -87,7 +84,7 @@ def test_a_round_that_fails_is_made_up_for(caplog: pytest.LogCaptureFixture) -> 
 
     with Served({"updates": {"update_hz": 50.0}}) as served, caplog.at_level(logging.ERROR):
         subscriber = served.asker.declare_subscriber("maps/site/updates/0/*/*", heard)
-        with Updates(served.server, served.view, served.keys, served.config, served.served_map, record, served.resets):
+        with served.updates(record):
             served.add(np.array([[1.0, 1.0, 1.0], [50.0, 1.0, 1.0]]))
             heard.wait(
                 lambda items: (

@@ -1,6 +1,5 @@
 """Tiles as they are published: to those who listen, the last change always."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from served import Served, some_points
 
 from roughmap_schemas.messages import UpdateRecord, parse_model
 from roughmap_service.answers import updates
-from roughmap_service.answers.updates import Updates
+from roughmap_service.answers.drawing import TileForm, TileList
 
 
 def layers_of(served: Served, tile: RawTile) -> bool:
@@ -22,15 +21,11 @@ def layers_of(served: Served, tile: RawTile) -> bool:
         return bool(tile.info["digest"] == frozen.digest(x, y))
 
 
-def start(served: Served, record: Callable[..., None] = lambda *_: None) -> Updates:
-    return Updates(served.server, served.view, served.keys, served.config, served.served_map, record, served.resets)
-
-
 @pytest.mark.parametrize("level", [0, 1])
 def test_the_last_change_always_comes(level: int) -> None:
     heard: Gathered[zenoh.Sample] = Gathered()
     settings: dict[str, Any] = {"updates": {"levels": [0, 1], "update_hz": 50.0, "layers": ["mean_height", "count"]}}
-    with Served(settings) as served, start(served):
+    with Served(settings) as served, served.updates():
         subscriber = served.asker.declare_subscriber(f"maps/site/updates/{level}/*/*", heard)
         for seed in range(20):
             served.add(some_points(200, seed, (0.5 * seed, 0.0)))
@@ -58,11 +53,11 @@ def test_nothing_is_made_while_nobody_listens() -> None:
     made: list[str] = []
     heard: Gathered[zenoh.Sample] = Gathered()
     with Served({"updates": {"update_hz": 50.0}}) as served:
-        with start(served, lambda kind, *_: made.append(kind)):
+        with served.updates(lambda kind, *_: made.append(kind)):
             for seed in range(5):
                 served.add(some_points(100, seed))
         assert made == [], "all rounds are over, and nobody had listened"
-        with start(served, lambda kind, *_: made.append(kind)):
+        with served.updates(lambda kind, *_: made.append(kind)):
             subscriber = served.asker.declare_subscriber("maps/site/updates/0/*/*", heard)
             served.add(some_points(100, 9))
             heard.wait(bool, "an update")
@@ -75,7 +70,7 @@ def test_what_the_log_keeps(mode: str) -> None:
     kept: Gathered[tuple[str, bytes, int]] = Gathered()
     heard: Gathered[zenoh.Sample] = Gathered()
     settings: dict[str, Any] = {"log": {"updates": mode}, "updates": {"update_hz": 50.0}}
-    with Served(settings) as served, start(served, lambda *record: kept(record)):
+    with Served(settings) as served, served.updates(lambda *record: kept(record)):
         subscriber = served.asker.declare_subscriber("maps/site/updates/0/*/*", heard)
         served.add(some_points(100, 9))
         heard.wait(lambda samples: len(samples) >= 4, "the four tiles around the origin")
@@ -92,9 +87,27 @@ def test_what_the_log_keeps(mode: str) -> None:
         assert {sample.payload.to_bytes() for sample in came} <= {payload for _, payload, _ in kept.items}
 
 
+def test_a_tile_that_was_published_is_not_drawn_again() -> None:
+    """A query for the same layers gets the very same bytes, without a look at the map's cells."""
+    heard: Gathered[zenoh.Sample] = Gathered()
+    settings: dict[str, Any] = {"updates": {"update_hz": 50.0, "layers": ["mean_height", "count"]}}
+    with Served(settings) as served, served.updates():
+        subscriber = served.asker.declare_subscriber("maps/site/updates/0/*/*", heard)
+        sequence = served.add(some_points(100, 9))
+        samples = heard.wait(lambda samples: len(samples) >= 4, "the four tiles around the origin")
+        subscriber.undeclare()
+        tiles, sequences = served.map.tile_sequences(0)
+        listed = TileList(0, served.reader.cell_size, sequence, served.map.newest_updated, tiles, sequences)
+        form = TileForm(("mean_height", "count"), served.reader.tolerance, served.reader.limits)
+        drawing = served.reader.drawing(listed, served.epoch, form)
+        for sample in samples:
+            info = RawTile(sample).info
+            assert drawing.tile(info["x"], info["y"], info["sequence"]).payload == sample.payload.to_bytes()
+
+
 def test_what_a_reset_emptied_is_published_once() -> None:
     heard: Gathered[zenoh.Sample] = Gathered()
-    with Served({"updates": {"update_hz": 50.0}}) as served, start(served):
+    with Served({"updates": {"update_hz": 50.0}}) as served, served.updates():
         subscriber = served.asker.declare_subscriber("maps/site/updates/0/*/*", heard)
         served.add(some_points(100, 9))
         heard.wait(bool, "an update: the listener is known")
@@ -128,7 +141,7 @@ def test_a_round_holds_only_what_changed() -> None:
 
         far = [(6.4 * x + 0.05, 6.4 * y + 0.05, 0.0) for x in range(-30, 30) for y in range(-30, 30)]
         served.map.add(np.array(far), np.eye(3) * 1e-6)
-        with start(served, look):
+        with served.updates(look):
             subscriber = served.asker.declare_subscriber("maps/site/updates/0/*/*", heard)
             ends = np.array([(-128.0 + 3.2, 3.2, 0.0), (128.0 + 3.2, 3.2, 0.0)])
             with served.view.change():
@@ -146,7 +159,7 @@ def test_one_tile_at_most_so_often(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(updates, "BACK_SECONDS", 3600.0)
     heard: Gathered[zenoh.Sample] = Gathered()
     with Served({"updates": {"update_hz": 0.001}}) as served:
-        with start(served):
+        with served.updates():
             first = served.add(some_points(100, 1))
             subscriber = served.asker.declare_subscriber("maps/site/updates/0/0/0", heard)
             heard.wait(bool, "the first update")

@@ -11,7 +11,6 @@ from net import WAIT_S, Gathered, locators, peer_config
 from served import Served
 
 from roughmap_client import NoAnswer, RoughMapClient, RoughMapError, Tile
-from roughmap_service.answers.updates import Updates
 
 BOX = (-1.0, -1.0, 1.0, 1.0)
 
@@ -24,10 +23,7 @@ def service(endpoint: str, number: int) -> Iterator[tuple[Served, str]]:
         session = stack.enter_context(zenoh.open(peer_config(listen__endpoints=[endpoint])))
         served = Served(settings=settings, sessions=(session, session), instance=f"{number:032x}", epoch=number)
         stack.enter_context(served)
-        updates = Updates(
-            session, served.view, served.keys, served.config, served.served_map, lambda *_: None, served.resets
-        )
-        stack.enter_context(updates)
+        stack.enter_context(served.updates(session=session))
         yield served, locators(session)[0]
 
 

@@ -14,7 +14,6 @@ from served import Served
 from roughmap_client import RoughMapClient, RoughMapError, Tile, UnreadableAnswer
 from roughmap_schemas import TileInfo, model_bytes
 from roughmap_schemas.encodings import GRID
-from roughmap_service.answers.updates import Updates
 
 
 @pytest.fixture
@@ -69,10 +68,7 @@ def test_the_tiles_that_change_come(pair: Pair) -> None:
     with Served(settings=settings, sessions=pair) as served:
         record = Gathered[object]()
         with (
-            Updates(
-                served.server, served.view, served.keys, served.config, served.served_map,
-                lambda *told: record(told), served.resets,
-            ),
+            served.updates(lambda *told: record(told)),
             RoughMapClient("site", session=served.asker, timeout=WAIT_S) as client,
             client.watch(tiles, level=1),
         ):  # fmt: skip

@@ -1,4 +1,4 @@
-"""One state of the map, read for a query."""
+"""One state of the map, read for a query or an update."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -37,7 +37,7 @@ class MapState(Generic[Level]):
 
 
 class MapReader:
-    """Reads states of one map; holds the settings that plans need."""
+    """Reads states of one map; holds the settings that plans need, and the cache of tiles that all readers share."""
 
     def __init__(self, view: View, keys: Keys, config: Config, served: ServedMap, resets: ResetHistory) -> None:
         self.view = view
@@ -50,7 +50,7 @@ class MapReader:
         self.max_reply_tiles = config.query.max_reply_tiles
         self.max_running_cells = config.query.max_running_cells
         self.max_region_cells = min(config.query.max_region_cells, MAX_CELLS)
-        self._resets = resets
+        self.resets = resets
         # With a small map.memory_limit, most of it must be left for the tiles themselves.
         self._cache = TileCache(min(config.query.cache_limit, int(config.map.memory_limit * CACHE_SHARE)))
 
@@ -94,7 +94,7 @@ class MapReader:
         try:
             with self.view.reading() as rough_map:
                 held.extend(rough_map.freeze(level, box) for level, box in boxes)
-                state = MapState(held, self.view.epoch, rough_map.sequence, self._resets.now)
+                state = MapState(held, self.view.epoch, rough_map.sequence, self.resets.now)
             yield state
         finally:
             for one in held:
@@ -112,7 +112,7 @@ class MapReader:
         else:
             with self.view.reading() as rough_map:
                 epoch, sequence, updated = self.view.epoch, rough_map.sequence, rough_map.newest_updated
-                found, emptied = [rough_map.tile_sequences(level, box) for level, box in boxes], self._resets.now
+                found, emptied = [rough_map.tile_sequences(level, box) for level, box in boxes], self.resets.now
         listed = [
             TileList(level, math.ldexp(self.cell_size, level), sequence, updated, tiles, sequences)
             for (level, _), (tiles, sequences) in zip(boxes, found, strict=True)

@@ -10,9 +10,8 @@ from typing import Self
 
 import zenoh
 
-from roughmap_schemas.config import Config
-from roughmap_schemas.keys import Keys
 from roughmap_schemas.messages import MapStatus, QueryRecord
+from roughmap_schemas.sections import QueryConfig
 from roughmap_service.answers.cells import plan_cells
 from roughmap_service.answers.map_reader import MapReader
 from roughmap_service.answers.operations import plan_control, plan_status
@@ -20,10 +19,7 @@ from roughmap_service.answers.plan import Plan
 from roughmap_service.answers.question import Question
 from roughmap_service.answers.queue import AnswerQueue
 from roughmap_service.answers.region import plan_region
-from roughmap_service.answers.reset_history import ResetHistory
-from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.answers.tiles import TileQueries
-from roughmap_service.run.view import View
 
 CONTROL_PLACES = 4
 """Control queries that may wait: operators send them one by one, by hand."""
@@ -56,23 +52,18 @@ class Answers:
     def __init__(
         self,
         session: zenoh.Session,
-        view: View,
-        keys: Keys,
-        config: Config,
-        served: ServedMap,
+        reader: MapReader,
+        limits: QueryConfig,
         *,
         status: Callable[[], MapStatus],
         control: Mapping[str, Callable[[], tuple[int, int]]],
         record_query: Callable[[QueryRecord], None],
-        resets: ResetHistory,
     ) -> None:
         self._session = session
-        self._keys = keys
+        self._reader = reader
         self._status = status
         self._control = control
         self._record_query = record_query
-        self._reader = MapReader(view, keys, config, served, resets)
-        limits = config.query
         self._queue = AnswerQueue("answers", limits.workers, limits.queue_limit, limits.max_running_cells)
         self._control_queue = AnswerQueue("control", 1, CONTROL_PLACES, 1)
         self._stack = ExitStack()
@@ -107,7 +98,7 @@ class Answers:
 
     def _queryables(self) -> Iterator[_Queryable]:
         """List every key that is answered. A new kind of query gets a line here and a module that plans it."""
-        keys, reader, tiles = self._keys, self._reader, TileQueries(self._reader)
+        reader, keys, tiles = self._reader, self._reader.keys, TileQueries(self._reader)
 
         def of_map(key: str, plan: Callable[[Question], Plan]) -> _Queryable:
             return _Queryable(key, plan, self._queue, self._record_query)

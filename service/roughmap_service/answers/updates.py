@@ -17,13 +17,10 @@ from roughmap.reading.frozen import FrozenMap
 from roughmap.tiles.index import TileBox
 from roughmap_schemas.config import Config
 from roughmap_schemas.encodings import GRID
-from roughmap_schemas.keys import Keys
 from roughmap_schemas.messages import UpdateRecord, model_bytes
-from roughmap_service.answers.drawing import Drawing, TileForm
+from roughmap_service.answers.drawing import TileForm
 from roughmap_service.answers.drawn_tile import DrawnTile
-from roughmap_service.answers.reset_history import ResetHistory
-from roughmap_service.answers.served_map import ServedMap
-from roughmap_service.run.view import View
+from roughmap_service.answers.map_reader import MapReader
 
 logger = logging.getLogger(__name__)
 
@@ -57,22 +54,18 @@ class Updates:
     def __init__(
         self,
         session: zenoh.Session,
-        view: View,
-        keys: Keys,
+        reader: MapReader,
         config: Config,
-        served: ServedMap,
         record: RecordUpdate,
-        resets: ResetHistory,
     ) -> None:
         self._session = session
-        self._view = view
-        self._keys = keys
-        self._served = served
+        self._reader = reader
+        self._view = reader.view
+        self._keys = reader.keys
         self._record = record
-        self._resets = resets
         self._mode = config.log.updates
         self._period_s = 1.0 / config.updates.update_hz
-        self._form = TileForm(tuple(config.updates.layers), config.map.height_tolerance, dict(config.map.limits))
+        self._form = TileForm(tuple(config.updates.layers), reader.tolerance, reader.limits)
         self._levels = tuple(config.updates.levels)
         self._published: dict[int, Version] = {}
         self._back: tuple[float, Version, Version] = (0.0, (0, 0), (0, 0))
@@ -186,7 +179,7 @@ class Updates:
                     held.callback(self._view.let_go, frozen)
                     return frozen
 
-                epoch, sequence, emptied = self._view.epoch, rough_map.sequence, self._resets.now
+                epoch, sequence, emptied = self._view.epoch, rough_map.sequence, self._reader.resets.now
                 was_reset = epoch != last_epoch
                 tiles, sequences = rough_map.changed_tiles(level, -1 if was_reset else last_sequence)
                 parts = [(hold(box), tiles[rows], sequences[rows]) for box, rows in _blocks(tiles)]
@@ -195,7 +188,7 @@ class Updates:
                 gone = emptied.tiles(level, tiles, last_sequence)
                 parts.append((blank, gone, np.full(len(gone), sequence)))
             for frozen, some, theirs in parts:
-                drawing = Drawing(frozen, epoch, self._form, self._served)
+                drawing = self._reader.drawing(frozen, epoch, self._form)
                 for (x, y), tile_sequence in zip(some.tolist(), theirs.tolist(), strict=True):
                     self._publish(self._keys.update(level, x, y), drawing.tile(x, y, tile_sequence), sequence)
         self._published[level] = epoch, sequence
