@@ -123,9 +123,9 @@ class LiveRun:
             return None
         self._memory.relieve(self.view.reading)  # before the map is held: it may write to the disk
         begun = time.monotonic()
-        event = self._integrate(proposal)
+        event, payload = self._integrate(proposal)
         self._tell(proposal.cloud, event, now, time.monotonic() - begun)
-        self._publish_event(encode_event(event))
+        self._publish_event(payload)
         return event
 
     def checkpoint(self, *, last: bool = False) -> None:
@@ -138,8 +138,7 @@ class LiveRun:
             return
         event = self.run.checkpoint()
         self._checkpoint_sequence = event.sequence
-        self._log(event)
-        self._publish_event(encode_event(event))
+        self._publish_event(self._log(event))
 
     def log_reset(self) -> ResetEvent:
         """Log a reset; `empty` carries it out."""
@@ -176,14 +175,14 @@ class LiveRun:
             if isinstance(found, NoTimes):
                 self._unclear[found.robot, found.frame_id] = found.seen
             else:
-                self._log(found)
+                payload = self._log(found)
                 self.run.read_times(found)
-                self._publish_event(encode_event(found))
+                self._publish_event(payload)
             with unharmed():
                 self._notices.times(found, self.run.settings.config)
 
-    def _integrate(self, proposal: Proposal) -> IntegrationEvent:
-        """Apply a proposal and log the event.
+    def _integrate(self, proposal: Proposal) -> tuple[IntegrationEvent, bytes]:
+        """Apply a proposal and log the event; return it and its JSON.
 
         Readers wait only for the change itself: all tiles that it needs are in memory by then. If memory runs out, the
         cloud is rejected as `overload` and the map is unchanged. No replay places it, even with enough memory.
@@ -195,10 +194,10 @@ class LiveRun:
                 event = change()
             except MemoryError:
                 event = self.run.place(replace(proposal, outcome=CloudReason.OVERLOAD))()
-            self._log(event)
+            payload = self._log(event)
         if event.outcome == CloudReason.OVERLOAD != proposal.outcome:
             logger.error("input %d: not enough memory to place its cloud", event.input)
-        return event
+        return event, payload
 
     def _tell(self, cloud: LoggedCloud, event: IntegrationEvent, now: float, seconds: float) -> None:
         """Count a decided cloud whose integration took ``seconds``, and tell if its sensor's clouds come to nothing."""
@@ -211,9 +210,10 @@ class LiveRun:
         with unharmed():
             self._streams.cloud(event.robot, frame_id, str(event.outcome), event.accepted, rejected, lost.figures)
 
-    def _log(self, event: Event) -> None:
+    def _log(self, event: Event) -> bytes:
+        """Log an event; return its JSON."""
         self.run.record += 1
-        self._recorder.event(event, time.time_ns())
+        return self._recorder.event(event, time.time_ns())
 
     def _acknowledge(self, message: InputMessage, number: int, *, duplicate: bool) -> None:
         """Answer an ingested message once it is on disk."""

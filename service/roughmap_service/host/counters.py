@@ -4,8 +4,8 @@ import threading
 import time
 from bisect import bisect_left
 from collections import Counter, deque
-from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 MAX_ROBOTS = 256
 """Robots that are counted by name, since each is a series in the metrics."""
@@ -48,6 +48,12 @@ class Durations:
         self.counts[bisect_left(BOUNDS, seconds)] += 1
         self.total += seconds
 
+    def copy(self) -> "Durations":
+        """Return a histogram of its own."""
+        copied = Durations()
+        copied.counts, copied.total = list(self.counts), self.total
+        return copied
+
 
 @dataclass
 class Lag:
@@ -75,6 +81,13 @@ class Counts:
     integration: Durations = field(default_factory=Durations)
     log_sync: Durations = field(default_factory=Durations)
     queries: dict[str, Durations] = field(default_factory=lambda: {"ok": Durations()})
+
+    def copy(self) -> "Counts":
+        """Return counts of their own."""
+        held: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(self)}
+        copied = {name: value if isinstance(value, int) else value.copy() for name, value in held.items()}
+        copied["queries"] = {outcome: durations.copy() for outcome, durations in self.queries.items()}
+        return Counts(**copied)
 
 
 class Counters:
@@ -161,7 +174,7 @@ class Counters:
     def snapshot(self) -> Counts:
         """Return a copy of all counters."""
         with self._lock:
-            return deepcopy(self._counts)
+            return self._counts.copy()
 
     @property
     def overloaded(self) -> bool:
@@ -172,7 +185,8 @@ class Counters:
     def _window(self) -> list[tuple[float, float, int]]:
         since = time.monotonic() - LAG_WINDOW_SECONDS
         with self._lock:
-            return [sample for sample in self._recent if sample[0] >= since]
+            recent = list(self._recent)
+        return [sample for sample in recent if sample[0] >= since]
 
     def lag(self) -> Lag:
         """Return the time from arrival to queryable over the last `LAG_WINDOW_SECONDS`."""
@@ -186,7 +200,8 @@ class Counters:
         window = self._window()
         since = time.monotonic() - LAG_WINDOW_SECONDS
         with self._lock:
-            poses = sum(arrival >= since for arrival in self._recent_poses)
+            arrivals = list(self._recent_poses)
+        poses = len(arrivals) - bisect_left(arrivals, since)
         points = sum(sample[2] for sample in window)
         return len(window) / LAG_WINDOW_SECONDS, points / LAG_WINDOW_SECONDS, poses / LAG_WINDOW_SECONDS
 

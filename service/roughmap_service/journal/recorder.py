@@ -26,11 +26,12 @@ class Recorder:
         self._writer.put(LogRecord(kind, topic, payload, self.last_ns, stamp_ns, number))
         return self.last_ns
 
-    def event(self, event: Event, now_ns: int) -> None:
-        """Log an event."""
+    def event(self, event: Event, now_ns: int) -> bytes:
+        """Log an event. Return its JSON."""
         self.last_ns = max(now_ns, self.last_ns + 1)
+        payload = encode_event(event)
         record = LogRecord(
-            Kind.EVENTS, self._keys.events, encode_event(event), self.last_ns, now_ns,
-            epoch=event.epoch, sequence=event.sequence,
-        )  # fmt: skip
+            Kind.EVENTS, self._keys.events, payload, self.last_ns, now_ns, epoch=event.epoch, sequence=event.sequence
+        )
         self._writer.put(record)
+        return payload
