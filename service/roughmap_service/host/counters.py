@@ -85,7 +85,9 @@ class Counts:
     def copy(self) -> "Counts":
         """Return counts of their own."""
         held: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(self)}
-        copied = {name: value if isinstance(value, int) else value.copy() for name, value in held.items()}
+        copied: dict[str, Any] = {
+            name: value if isinstance(value, int) else value.copy() for name, value in held.items()
+        }
         copied["queries"] = {outcome: durations.copy() for outcome, durations in self.queries.items()}
         return Counts(**copied)
 
