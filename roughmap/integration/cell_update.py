@@ -15,6 +15,7 @@ RUN = 64
 
 _COUNT = np.uint64(0xFFFFFFFF)
 _SHIFT = np.uint64(32)
+_SECOND = np.uint64(1_000_000_000)
 
 
 @inline
@@ -59,11 +60,27 @@ def update_cell(head_of: U8, values: F8, h: Scalar, w: Scalar, q: Scalar, second
 
 @inline
 def drain(queue: Scalar, count: Scalar, z: F8, q: F8, stamps: I8, model: Scalar, min_distance: Scalar) -> None:
-    """Apply the first ``count`` updates of a queue, in order."""
+    """Apply the first ``count`` updates of a queue, in order.
+
+    A loop for each case: a test inside costs as much as a tenth of an update.
+    """
     cell, weight, point = queue
-    each = np.uint64(1) if len(stamps) > 1 else np.uint64(0)
+    if len(stamps) > 1:
+        for c in range(count):
+            n = np.uint64(point[c])
+            density = q[n] if model != POINT else 1.0
+            _apply(cell[c], weight[c], z[n], density, np.uint64(stamps[n]) // _SECOND, min_distance)
+        return
+    second = np.uint64(stamps[0]) // _SECOND
+    if model == POINT:
+        for c in range(count):
+            _apply(cell[c], weight[c], z[np.uint64(point[c])], 1.0, second, min_distance)
+        return
     for c in range(count):
         n = np.uint64(point[c])
-        density = q[n] if model != POINT else 1.0
-        second = np.uint64(stamps[n * each]) // np.uint64(1000000000)
-        update_cell(words(cell[c]), floats(cell[c]), z[n], weight[c], density, second, min_distance)
+        _apply(cell[c], weight[c], z[n], q[n], second, min_distance)
+
+
+@inline
+def _apply(address: Scalar, w: Scalar, h: Scalar, q: Scalar, second: Scalar, min_distance: Scalar) -> None:
+    update_cell(words(address), floats(address), h, w, q, second, min_distance)
