@@ -6,7 +6,8 @@ from roughmap.arrays import F8, I8, Scalar
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
 from roughmap.integration.cell_update import RUN
 from roughmap.jit import inline, kernel
-from roughmap.points.footprint import CUBOID, POINT, bound_cuboids, bound_ellipsoids, bound_points
+from roughmap.points.bodies import bound_cuboids, bound_ellipsoids, bound_points
+from roughmap.points.footprint import CUBOID, POINT
 from roughmap.points.place import BLOCK, S, X, Y, Z, place_moving, place_still
 from roughmap.points.plain import flag_points, weigh_cuboids, weigh_ellipsoids, within
 from roughmap.points.strided import read_points
@@ -24,17 +25,17 @@ def _weigh(first: Scalar, planes: Scalar, block: Scalar, rules: Scalar) -> None:
     model, a, area, window, error, min_share = rules
     part = slice(first, first + BLOCK)
     z, reason, q, weight = planes.z[part], planes.reason[part], planes.q[part], planes.weight[first // BLOCK]
-    P, cells, body, plain = block.planes, block.cells, block.body, block.plain
+    P, kept, cells, body, plain = block.planes, block.kept, block.cells, block.body, block.plain
     for n in range(BLOCK):
         z[n] = P[Z, n]
     if model == POINT:
         bound_points(P, reason, cells, a, area)
         flag_points(reason, cells, window, plain)
     elif model == CUBOID:
-        bound_cuboids(P, reason, cells, body, q, a, area, error)
+        bound_cuboids(P, reason, kept, cells, body, q, a, area, error)
         weigh_cuboids(P, reason, cells, body, q, a, window, min_share, weight, plain)
     else:
-        bound_ellipsoids(P, reason, cells, body, q, plain, a, area, error)
+        bound_ellipsoids(P, reason, kept, cells, body, q, plain, a, area, error)
         weigh_ellipsoids(P, reason, cells, body, q, a, window, min_share, weight, plain)
 
 

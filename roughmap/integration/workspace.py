@@ -78,12 +78,14 @@ def _planes(blocks: int) -> Planes:
 class Block(NamedTuple):
     """Scratch for the block of points in work.
 
-    ``planes`` (PLANES, STRIDE), ``bracket``: see `place`. ``cells`` (4, BLOCK): i0, j0, i1, j1 of the footprints.
-    ``body`` (4, BLOCK): half extents along x and y; for ellipses also rho and beta. ``plain``: 1 for plain points.
+    ``planes`` (PLANES, STRIDE), ``bracket``: see `place`. ``kept`` (BLOCK,): see `bodies`. ``cells`` (4, BLOCK): i0,
+    j0, i1, j1 of the footprints. ``body`` (4, BLOCK): half extents along x and y; for ellipses also rho and beta.
+    ``plain``: 1 for plain points.
     """
 
     planes: F8
     bracket: I8
+    kept: U1
     cells: I4
     body: F8
     plain: U1
@@ -143,6 +145,7 @@ class ThreadScratch:
         self.block = Block(
             np.zeros((PLANES, STRIDE)),
             np.zeros(BLOCK, np.int64),
+            np.zeros(BLOCK, np.uint8),
             np.zeros((4, BLOCK), np.int32),
             np.zeros((4, BLOCK)),
             np.zeros(BLOCK, np.uint8),

@@ -59,13 +59,12 @@ _CEILING = float(PointReason.CEILING)
 
 
 @inline
-def _first_reason(before: Scalar, x: Scalar, y: Scalar, z: Scalar, square: Scalar, m: Scalar, limits: Scalar) -> Scalar:
-    """Return the first reason that applies; ``before`` is the one found earlier (0, time, no_pose or self)."""
-    r = math.sqrt(square)
-    over = m[2] > limits[2] + limits[3] * math.sqrt(m[0] * m[0] + m[1] * m[1])
-    outside = (r < limits[0]) | (r > limits[1])
-    reason = _CEILING if (before == 0.0) & over else before
-    reason = _RANGE if (before == 0.0) & outside else reason
+def _first_reason(before: Scalar, x: Scalar, y: Scalar, z: Scalar, outside: Scalar) -> Scalar:
+    """Return the first reason that applies; ``before`` is the one found earlier (0, time, no_pose or self).
+
+    ``outside``: the range is out of limits.
+    """
+    reason = _RANGE if (before == 0.0) & outside else before
     reason = _NO_RETURN if (x == 0.0) & (y == 0.0) & (z == 0.0) else reason
     finite = (abs(x) < math.inf) & (abs(y) < math.inf) & (abs(z) < math.inf)
     return reason if finite else _NOT_FINITE
@@ -103,7 +102,7 @@ def _place(P: F8, n: Scalar, r: Scalar, t: Scalar, own: Scalar, mounting: Scalar
     l = rotate(r, mounting[9] + v[0], mounting[10] + v[1], mounting[11] + v[2])  # noqa: E741
     m = rotate(r, v[0], v[1], v[2])
     square = x * x + y * y + z * z
-    reason = _first_reason(before, x, y, z, square, m, limits)
+    reason = _first_reason(before, x, y, z, (square < limits[0]) | (square > limits[1]))
     px, py, pz = t[0] + l[0], t[1] + l[1], t[2] + l[2]
     P[_REASON, n] = reason if own else before
     P[X, n] = px if own else x
@@ -116,6 +115,14 @@ def _place(P: F8, n: Scalar, r: Scalar, t: Scalar, own: Scalar, mounting: Scalar
     P[_BEAM + 1, n] = m[1]
     P[_BEAM + 2, n] = m[2]
     P[_SQUARE, n] = square
+
+
+@inline
+def _reject_above(P: F8, n: Scalar, own: Scalar, limits: Scalar) -> None:
+    """Reject point ``n`` if no other reason applies and it is above the ceiling, from the lever that `_place` wrote."""
+    x, y, z = P[_BEAM, n], P[_BEAM + 1, n], P[_BEAM + 2, n]
+    over = z > limits[2] + limits[3] * math.sqrt(x * x + y * y)
+    P[_REASON, n] = _CEILING if over & own & (P[_REASON, n] == 0.0) else P[_REASON, n]
 
 
 @inline
@@ -149,6 +156,9 @@ def place_still(planes: F8, reason: U1, with_covariance: bool, posed: bool, pose
     t = (pose[9], pose[10], pose[11])
     for n in range(BLOCK):
         _place(P, n, pose, t, True, mounting, limits)
+    if limits[2] < math.inf:
+        for n in range(BLOCK):
+            _reject_above(P, n, True, limits)
     if with_covariance:
         common = shared_terms(pose, mount)
         for n in range(BLOCK):
@@ -209,6 +219,9 @@ def _place_run(
             n = np.uint64(first) + np.uint64(k)
             r = rotation_matrix(P[_QUAT, n], P[_QUAT + 1, n], P[_QUAT + 2, n], P[_QUAT + 3, n])
             _place(P, n, r, position_at(pair, P[_FRACTION, n]), P[_BRACKET, n] == own, mounting, limits)
+    if limits[2] < math.inf:
+        for n in range(low, high):
+            _reject_above(P, n, P[_BRACKET, n] == own, limits)
     if with_covariance:
         for first in range(low, high, STEP):
             for k in range(STEP):
@@ -238,9 +251,8 @@ def place_moving(
     lie between the same two poses, so runs of such points are placed by loops without branches.
     """
     P = _fixed_shape(planes)
-    mounting, _, _, limits, boxes = rules
     _find_brackets(P, offsets, first, size, bracket, stamp, path[0], max_gap_ns)
-    _reject_own_body(P, mounting, boxes)
+    _reject_own_body(P, rules[0], rules[4])
     start = 0
     while start < size:
         which = bracket[start]
@@ -255,9 +267,7 @@ def place_moving(
                 bracket[n] = _PLACED if bracket[n] == which else bracket[n]
         elif which == _NO_BRACKET:
             for n in range(start, stop):
-                x, y, z = P[X, n], P[Y, n], P[Z, n]
-                v = rotate(mounting, x, y, z)
-                P[_REASON, n] = _first_reason(P[_REASON, n], x, y, z, x * x + y * y + z * z, v, limits)
+                P[_REASON, n] = _first_reason(P[_REASON, n], P[X, n], P[Y, n], P[Z, n], False)
         start = stop
     for n in range(BLOCK):
         reason[n] = np.uint8(P[_REASON, n])

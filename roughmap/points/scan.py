@@ -108,6 +108,25 @@ class Limits:
         object.__setattr__(self, "boxes", boxes)
 
     @property
+    def squares(self) -> tuple[float, float]:
+        """The least and the largest square of a range within the limits.
+
+        Square roots are correctly rounded, and so grow with the square: comparing squares with these equals comparing
+        their roots with the limits.
+        """
+        low, high = float(self.min_range), float(self.max_range)
+        least, most = low * low, high * high
+        while least > 0.0 and math.sqrt(math.nextafter(least, 0.0)) >= low:
+            least = math.nextafter(least, 0.0)
+        while math.sqrt(least) < low:
+            least = math.nextafter(least, math.inf)
+        while most < math.inf and math.sqrt(math.nextafter(most, math.inf)) <= high:
+            most = math.nextafter(most, math.inf)
+        while math.sqrt(most) > high:
+            most = math.nextafter(most, 0.0)
+        return least, most
+
+    @property
     def max_gap_ns(self) -> float:
         """``max_pose_gap`` in nanoseconds, rounded: 2.01 * 1e9 as a float lies just below 2,010,000,000."""
         return float(np.rint(float(self.max_pose_gap) * 1e9))
@@ -116,9 +135,9 @@ class Limits:
 def scan_rules(scan: Scan, noise: Noise, limits: Limits) -> tuple[Any, ...]:
     """Pack a scan's mounting, noise and limits for the kernels.
 
-    Returns mounting (12: rotation matrix, translation), beam (3), ``mount_sigma`` squared (6), limits (4: least and
-    largest range, ceiling and its slope) and boxes (B, 6).
+    Returns mounting (12: rotation matrix, translation), beam (3), ``mount_sigma`` squared (6), limits (4:
+    `Limits.squares`, ceiling and its slope) and boxes (B, 6).
     """
     beam = float(noise.range_sigma), float(noise.range_sigma_per_m), float(noise.beam_sigma)
-    numbers = float(limits.min_range), float(limits.max_range), float(limits.ceiling), float(limits.ceiling_slope)
+    numbers = *limits.squares, float(limits.ceiling), float(limits.ceiling_slope)
     return scan.mounting, beam, noise.mount_variance, numbers, limits.boxes

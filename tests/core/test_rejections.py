@@ -226,3 +226,21 @@ def test_every_return_is_counted_once(scan: Scan, way: Trajectory, noise: Noise,
     later = {"covariance", "uncertain", "bounds"}
     assert {name: n for name, n in report.rejected.items() if name not in later} == dict(early)
     assert sum(int(cell["count"]) for cell in cells_of(m).values()) >= report.accepted
+
+
+@examples(200)
+@given(
+    limit=st.one_of(
+        st.floats(0.0, 100.0), st.floats(0.0, np.inf), st.sampled_from([0.0, 5e-324, 1e-160, 1e200, np.inf])
+    ),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_squares_of_ranges_are_judged_as_their_roots(limit: float, seed: int) -> None:
+    low, high = Limits(min_range=limit, max_range=limit).squares
+    near = np.minimum(np.array([limit * limit, low, high]), 1e308)
+    steps = np.arange(-3, 4)
+    squares = [np.maximum(near + step * np.spacing(near), 0.0) for step in steps]
+    squares.append(10.0 ** np.random.default_rng(seed).uniform(-320, 308, 50))
+    square = np.concatenate([*squares, [0.0, np.inf]])
+    assert np.array_equal(square < low, np.sqrt(square) < limit)
+    assert np.array_equal(square > high, np.sqrt(square) > limit)
