@@ -8,7 +8,8 @@ from roughmap.integration.cell_update import RUN
 from roughmap.jit import inline, kernel
 from roughmap.points.bodies import bound_cuboids, bound_ellipsoids, bound_points
 from roughmap.points.footprint import CUBOID, POINT
-from roughmap.points.place import BLOCK, S, X, Y, Z, place_moving, place_still
+from roughmap.points.moving import place_moving
+from roughmap.points.place import BLOCK, S, X, Y, Z, place_still
 from roughmap.points.plain import flag_points, weigh_cuboids, weigh_ellipsoids, within
 from roughmap.points.strided import read_points
 from roughmap.tiles.index import find_or_add, tile_key
@@ -150,7 +151,7 @@ def scan_blocks(
         with_covariance = rules[0] != POINT
         if moving:
             place_moving(
-                block.planes, reason, offsets, first, size, block.bracket, with_covariance, stamp, path,
+                block.planes, reason, offsets, first, size, block.moving, with_covariance, stamp, path,
                 max_gap_ns, returns,
             )  # fmt: skip
         else:

@@ -10,6 +10,7 @@ import numpy as np
 from roughmap.arrays import F8, I4, I8, U1, U2, U8
 from roughmap.cell import PointReason
 from roughmap.integration.cell_update import QUEUE, RUN
+from roughmap.points.moving import MovingScratch, moving_scratch
 from roughmap.points.place import BLOCK, PLANES, STRIDE
 from roughmap.tiles.index import rehash
 
@@ -78,13 +79,13 @@ def _planes(blocks: int) -> Planes:
 class Block(NamedTuple):
     """Scratch for the block of points in work.
 
-    ``planes`` (PLANES, STRIDE), ``bracket``: see `place`. ``kept`` (BLOCK,): see `bodies`. ``cells`` (4, BLOCK): i0,
-    j0, i1, j1 of the footprints. ``body`` (4, BLOCK): half extents along x and y; for ellipses also rho and beta.
-    ``plain``: 1 for plain points.
+    ``planes`` (PLANES, STRIDE): see `place`. ``moving``: see `moving`. ``kept`` (BLOCK,): see `bodies`. ``cells``
+    (4, BLOCK): i0, j0, i1, j1 of the footprints. ``body`` (4, BLOCK): half extents along x and y; for ellipses also rho
+    and beta. ``plain``: 1 for plain points.
     """
 
     planes: F8
-    bracket: I8
+    moving: MovingScratch
     kept: U1
     cells: I4
     body: F8
@@ -144,7 +145,7 @@ class ThreadScratch:
     def __init__(self, side: int) -> None:
         self.block = Block(
             np.zeros((PLANES, STRIDE)),
-            np.zeros(BLOCK, np.int64),
+            moving_scratch(),
             np.zeros(BLOCK, np.uint8),
             np.zeros((4, BLOCK), np.int32),
             np.zeros((4, BLOCK)),

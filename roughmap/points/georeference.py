@@ -4,7 +4,8 @@ import numpy as np
 
 from roughmap.arrays import F8, I8, U1, Scalar
 from roughmap.jit import inline, kernel
-from roughmap.points.place import BLOCK, PLANES, STRIDE, S, X, Y, Z, place_moving, place_still, pose_at
+from roughmap.points.moving import moving_scratch, place_moving
+from roughmap.points.place import BLOCK, PLANES, STRIDE, S, X, Y, Z, place_still, pose_at
 from roughmap.points.scan import Limits, Noise, Scan, scan_rules
 from roughmap.points.strided import read_points, source_of
 from roughmap.points.trajectory import Trajectory
@@ -35,14 +36,14 @@ def _write(P: F8, block_reason: U1, first: int, size: int, points: F8, covarianc
 @kernel
 def _place_blocks(
     source: Scalar, offsets: I8, moving: bool, stamp: int, path: Scalar, max_gap_ns: float, posed: bool, pose: Scalar,
-    rules: Scalar, planes: F8, block_reason: U1, bracket: I8, points: F8, covariance: F8, reason: U1,
+    rules: Scalar, planes: F8, block_reason: U1, scratch: Scalar, points: F8, covariance: F8, reason: U1,
 ) -> None:  # fmt: skip
     number = len(points)
     for first in range(0, number, BLOCK):
         size = min(BLOCK, number - first)
         read_points(source, first, size, planes)
         if moving:
-            place_moving(planes, block_reason, offsets, first, size, bracket, True, stamp, path, max_gap_ns, rules)
+            place_moving(planes, block_reason, offsets, first, size, scratch, True, stamp, path, max_gap_ns, rules)
         else:
             place_still(planes, block_reason, True, posed, pose, rules)
         _write(planes, block_reason, first, size, points, covariance, reason)
@@ -62,6 +63,6 @@ def georeference(scan: Scan, trajectory: Trajectory, noise: Noise, limits: Limit
     _place_blocks(
         source_of(scan.points), scan.times, scan.offsets_ns is not None, scan.stamp_ns, path, gap, posed, pose,
         scan_rules(scan, noise, limits), np.zeros((PLANES, STRIDE)), np.zeros(BLOCK, np.uint8),
-        np.zeros(BLOCK, np.int64), points, covariance, reason,
+        moving_scratch(), points, covariance, reason,
     )  # fmt: skip
     return points, covariance, reason
