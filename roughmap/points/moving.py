@@ -24,6 +24,7 @@ from roughmap.points.place import (
     Z,
     first_reason,
     fixed_shape,
+    is_uncertain,
     place,
     reject_above,
     reject_own_body,
@@ -106,25 +107,26 @@ def _count_brackets(
     Returns False, with nothing done, if a time is out of range, before the first pose or past the last one, or if too
     many poses lie between the times.
     """
-    earliest = latest = offsets[first]
-    for n in range(first, first + size):
-        earliest, latest = min(earliest, offsets[n]), max(latest, offsets[n])
+    # Indices without a sign: one that may be negative is adjusted, and no loop with that vectorises.
+    start = np.uint64(first)
+    earliest = latest = offsets[start]
+    for n in range(np.uint64(size)):
+        earliest, latest = min(earliest, offsets[start + n]), max(latest, offsets[start + n])
     if earliest < 0 or latest > OFFSET_LIMIT_NS or stamp + latest >= STAMP_LIMIT_NS:
         return False
     low, _, _, _ = find_bracket(stamps, stamp + earliest, max_gap_ns)
     high, _, _, _ = find_bracket(stamps, stamp + latest, max_gap_ns)
     if low < 0 or high + 1 >= len(stamps) or high - low > _FEW_POSES:
         return False
-    for n in range(size):
+    for n in range(np.uint64(size)):
         bracket[n] = low
     for pose in range(low + 1, high + 1):
         since = stamps[pose] - stamp
-        for n in range(size):
-            bracket[n] += np.int64(1) if offsets[first + n] >= since else np.int64(0)
-    for n in range(size):
-        pose = np.uint64(bracket[n])
-        before, after = stamps[pose], stamps[pose + np.uint64(1)]
-        t = stamp + offsets[first + n]
+        for n in range(np.uint64(size)):
+            bracket[n] += np.int64(1) if offsets[start + n] >= since else np.int64(0)
+    for n in range(np.uint64(size)):
+        before, after = stamps[np.uint64(bracket[n])], stamps[np.uint64(bracket[n]) + np.uint64(1)]
+        t = stamp + offsets[start + n]
         exact = t == before
         known = exact | (float(after - before) <= max_gap_ns)
         which = 2 * bracket[n] + (np.int64(1) if exact else np.int64(0))
@@ -182,12 +184,22 @@ def _place_run(
         for n in range(low, high):
             reject_above(P, n, P[BRACKET, n] == own, limits)
     if with_covariance:
-        for first in range(low, high, STEP):
-            for k in range(STEP):
-                n = np.uint64(first) + np.uint64(k)
-                r = rotation_matrix(P[QUAT, n], P[QUAT + 1, n], P[QUAT + 2, n], P[QUAT + 3, n])
-                pose = (*r, 0.0, 0.0, 0.0, *covariance_at(pair, P[FRACTION, n]))
-                set_covariance(P, n, P[BRACKET, n] == own, beam, shared_terms(pose, mount))
+        if is_uncertain(mount):
+            _set_covariances(P, own, pair, low, high, beam, mount, True)
+        else:
+            _set_covariances(P, own, pair, low, high, beam, mount, False)
+
+
+@inline
+def _set_covariances(
+    P: F8, own: Scalar, pair: Scalar, low: Scalar, high: Scalar, beam: Scalar, mount: Scalar, mounted: Scalar
+) -> None:
+    for first in range(low, high, STEP):
+        for k in range(STEP):
+            n = np.uint64(first) + np.uint64(k)
+            r = rotation_matrix(P[QUAT, n], P[QUAT + 1, n], P[QUAT + 2, n], P[QUAT + 3, n])
+            pose = (*r, 0.0, 0.0, 0.0, *covariance_at(pair, P[FRACTION, n]))
+            set_covariance(P, n, P[BRACKET, n] == own, beam, shared_terms(pose, mount, mounted), mounted)
 
 
 @inline

@@ -111,11 +111,14 @@ def reject_above(P: F8, n: Scalar, own: Scalar, limits: Scalar) -> None:
 
 
 @inline
-def set_covariance(P: F8, n: Scalar, own: Scalar, beam: Scalar, common: Scalar) -> None:
-    """Set the covariance of point ``n``, if it belongs to the pose (``own``), from the levers that `place` wrote."""
+def set_covariance(P: F8, n: Scalar, own: Scalar, beam: Scalar, common: Scalar, mounted: Scalar) -> None:
+    """Set the covariance of point ``n``, if it belongs to the pose (``own``), from the levers that `place` wrote.
+
+    ``common``, ``mounted``: see `shared_terms`.
+    """
     l = (P[_LEVER, n], P[_LEVER + 1, n], P[_LEVER + 2, n])  # noqa: E741
     m = (P[_BEAM, n], P[_BEAM + 1, n], P[_BEAM + 2, n])
-    s = point_covariance(l, m, P[_SQUARE, n], beam, common)
+    s = point_covariance(l, m, P[_SQUARE, n], beam, common, mounted)
     o = (P[S, n], P[S + 1, n], P[S + 2, n], P[S + 3, n], P[S + 4, n], P[S + 5, n])
     P[S, n] = s[0] if own else o[0]
     P[S + 1, n] = s[1] if own else o[1]
@@ -123,6 +126,12 @@ def set_covariance(P: F8, n: Scalar, own: Scalar, beam: Scalar, common: Scalar) 
     P[S + 3, n] = s[3] if own else o[3]
     P[S + 4, n] = s[4] if own else o[4]
     P[S + 5, n] = s[5] if own else o[5]
+
+
+@inline
+def is_uncertain(mount: Scalar) -> Scalar:
+    """Whether any variance of the mounting is above zero."""
+    return max(mount[0], mount[1], mount[2], mount[3], mount[4], mount[5]) > 0.0
 
 
 @inline
@@ -145,9 +154,14 @@ def place_still(planes: F8, reason: U1, with_covariance: bool, posed: bool, pose
         for n in range(BLOCK):
             reject_above(P, n, True, limits)
     if with_covariance:
-        common = shared_terms(pose, mount)
-        for n in range(BLOCK):
-            set_covariance(P, n, True, beam, common)
+        if is_uncertain(mount):
+            common = shared_terms(pose, mount, True)
+            for n in range(BLOCK):
+                set_covariance(P, n, True, beam, common, True)
+        else:
+            common = shared_terms(pose, mount, False)
+            for n in range(BLOCK):
+                set_covariance(P, n, True, beam, common, False)
     for n in range(BLOCK):
         reason[n] = np.uint8(P[REASON, n])
 

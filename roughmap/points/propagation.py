@@ -5,6 +5,10 @@ import math
 from roughmap.arrays import Scalar
 from roughmap.jit import inline
 
+_NOTHING = (-0.0, -0.0, -0.0, -0.0, -0.0, -0.0)
+"""Terms that change no sum, to the bit. The terms of a mounting without uncertainty are zeros of either sign, so only
+the sign of a sum that is zero anyway can depend on leaving them out, and on that sign depends no cell."""
+
 
 @inline
 def rotate(m: Scalar, x: Scalar, y: Scalar, z: Scalar) -> Scalar:
@@ -30,14 +34,15 @@ def _rotated_diagonal(r: Scalar, a: Scalar, b: Scalar, c: Scalar) -> Scalar:
 
 
 @inline
-def shared_terms(pose: Scalar, mount: Scalar) -> Scalar:
+def shared_terms(pose: Scalar, mount: Scalar, mounted: Scalar) -> Scalar:
     """Return the terms of the covariance that all points of a pose share, 27 numbers.
 
     A (6, upper triangle): translation block of S_pose plus that of S_mount in map axes; B (9): translation-rotation
-    block of S_pose; C (6): rotation block of S_pose; D (6): rotation block of S_mount in map axes.
+    block of S_pose; C (6): rotation block of S_pose; D (6): rotation block of S_mount in map axes. ``mounted`` False:
+    ``mount`` is zero. A constant, so that its terms are not compiled.
     """
-    shift = _rotated_diagonal(pose, mount[0], mount[1], mount[2])
-    tilt = _rotated_diagonal(pose, mount[3], mount[4], mount[5])
+    shift = _rotated_diagonal(pose, mount[0], mount[1], mount[2]) if mounted else _NOTHING
+    tilt = _rotated_diagonal(pose, mount[3], mount[4], mount[5]) if mounted else _NOTHING
     return (
         pose[12] + shift[0],
         pose[13] + shift[1],
@@ -93,14 +98,14 @@ def _lever_square(c0: Scalar, c1: Scalar, c2: Scalar, c3: Scalar, c4: Scalar, c5
 
 
 @inline
-def point_covariance(l: Scalar, m: Scalar, square: Scalar, beam: Scalar, s: Scalar) -> Scalar:  # noqa: E741
+def point_covariance(l: Scalar, m: Scalar, square: Scalar, beam: Scalar, s: Scalar, mounted: Scalar) -> Scalar:  # noqa: E741
     """Return the upper triangle of S (eq. 1) from the levers l and l_m, the squared range and `shared_terms`."""
     sr = beam[0] + beam[1] * math.sqrt(square)
     across = beam[2] * beam[2] * square
     along = (sr * sr - across) / square
     x, y, z = l
     pose = _lever_square(s[15], s[16], s[17], s[18], s[19], s[20], l)
-    mount = _lever_square(s[21], s[22], s[23], s[24], s[25], s[26], m)
+    mount = _lever_square(s[21], s[22], s[23], s[24], s[25], s[26], m) if mounted else _NOTHING
     # B K^T: row i is (b1 z - b2 y, b2 x - b0 z, b0 y - b1 x); S gets this and its transpose.
     b00 = s[7] * z - s[8] * y
     b01 = s[8] * x - s[6] * z
