@@ -108,9 +108,9 @@ def _count_brackets(
     many poses lie between the times.
     """
     # Indices without a sign: one that may be negative is adjusted, and no loop with that vectorises.
-    start = np.uint64(first)
+    start, count = np.uint64(first), np.uint64(size)
     earliest = latest = offsets[start]
-    for n in range(np.uint64(size)):
+    for n in range(count):
         earliest, latest = min(earliest, offsets[start + n]), max(latest, offsets[start + n])
     if earliest < 0 or latest > OFFSET_LIMIT_NS or stamp + latest >= STAMP_LIMIT_NS:
         return False
@@ -118,13 +118,13 @@ def _count_brackets(
     high, _, _, _ = find_bracket(stamps, stamp + latest, max_gap_ns)
     if low < 0 or high + 1 >= len(stamps) or high - low > _FEW_POSES:
         return False
-    for n in range(np.uint64(size)):
+    for n in range(count):
         bracket[n] = low
     for pose in range(low + 1, high + 1):
         since = stamps[pose] - stamp
-        for n in range(np.uint64(size)):
+        for n in range(count):
             bracket[n] += np.int64(1) if offsets[start + n] >= since else np.int64(0)
-    for n in range(np.uint64(size)):
+    for n in range(count):
         before, after = stamps[np.uint64(bracket[n])], stamps[np.uint64(bracket[n]) + np.uint64(1)]
         t = stamp + offsets[start + n]
         exact = t == before
@@ -135,10 +135,10 @@ def _count_brackets(
         P[BRACKET, n] = float(which) if known else -1.0
         P[SINCE, n] = float(t - before) if known else 0.0
         P[UNTIL, n] = float(after - t) if known else 0.0
-    for n in range(size, BLOCK):
-        P[BRACKET, n] = -1.0
-        P[SINCE, n] = 0.0
-        P[UNTIL, n] = 0.0
+    for k in range(size, BLOCK):
+        P[BRACKET, k] = -1.0
+        P[SINCE, k] = 0.0
+        P[UNTIL, k] = 0.0
     return True
 
 
@@ -181,8 +181,8 @@ def _place_run(
             r = rotation_matrix(P[QUAT, n], P[QUAT + 1, n], P[QUAT + 2, n], P[QUAT + 3, n])
             place(P, n, r, position_at(pair, P[FRACTION, n]), P[BRACKET, n] == own, mounting, limits)
     if limits[2] < math.inf:
-        for n in range(low, high):
-            reject_above(P, n, P[BRACKET, n] == own, limits)
+        for k in range(low, high):
+            reject_above(P, k, P[BRACKET, k] == own, limits)
     if with_covariance:
         if is_uncertain(mount):
             _set_covariances(P, own, pair, low, high, beam, mount, True)

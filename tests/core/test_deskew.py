@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 from scipy.spatial.transform import Rotation
-from strategies import SECOND_NS, START_NS
+from strategies import SECOND_NS, START_NS, limits, noises, seeds, trajectories
 
 from roughmap import Limits, Noise, PointReason, RoughMap, Scan, Trajectory, georeference
 
@@ -134,3 +134,52 @@ def test_deskewing_makes_a_turning_wall_flat() -> None:
     extent = m.region((19, -4, 21, 4), ["count"])["count"]
     assert np.flatnonzero(extent.any(axis=0)).tolist() == [10]
     assert extent.sum() == 500
+
+
+@examples(80)
+@given(
+    path=trajectories(),
+    noise=noises,
+    rules=limits,
+    seed=seeds,
+    span=st.sampled_from([SECOND_NS // 3, SECOND_NS]),
+    outside=st.booleans(),
+)
+def test_the_order_of_points_does_not_matter_to_a_point(
+    path: Trajectory, noise: Noise, rules: Limits, seed: int, span: int, outside: bool
+) -> None:
+    """In no order, in the order of their times, or a few at a time: each point gets the same bytes."""
+    rng = np.random.default_rng(seed)
+    number = 700
+    returns, offsets = rng.normal(0, 3.0, (number, 3)), rng.integers(0, span, number)
+    offsets[::9] = rng.choice(path.stamp_ns, len(offsets[::9])) - START_NS  # some of these are before the scan
+    if not outside:
+        offsets = np.clip(offsets, 0, SECOND_NS)
+    returns[rng.random(number) < 0.02] = 0.0
+    rules = Limits(rules.min_range, rules.max_range, rules.ceiling, rules.ceiling_slope, np.inf, rules.exclude)
+
+    def placed(chosen: np.ndarray) -> tuple[np.ndarray, ...]:
+        scan = Scan(returns[chosen], START_NS, offsets[chosen], (0.2, 0.0, 1.0), (0.1, 0.0, 0.0, 1.0))
+        return georeference(scan, path, noise, rules)
+
+    mixed = placed(np.arange(number))
+    order = np.argsort(offsets, kind="stable")
+    few = [placed(part) for part in np.array_split(np.arange(number), number // 20)]
+    for n, column in enumerate(mixed):
+        assert column[order].tobytes() == placed(order)[n].tobytes()
+        assert column.tobytes() == np.concatenate([part[n] for part in few]).tobytes()
+
+
+@examples(40)
+@given(path=trajectories(), seed=seeds)
+def test_a_mounting_without_uncertainty_adds_nothing(path: Trajectory, seed: int) -> None:
+    """Leaving out its terms equals adding those of a mounting whose uncertainty vanishes beside the rest."""
+    returns = np.random.default_rng(seed).normal(0, 3.0, (300, 3))
+    offsets = np.linspace(0, SECOND_NS // 4, 300).astype(np.int64)
+    for times in (None, offsets):
+        scan = Scan(returns, START_NS, times, (0.2, 0.0, 1.0))
+        without, vanishing = (
+            georeference(scan, path, Noise(0.01, 0.0, 0.001, (sigma,) * 6)) for sigma in (0.0, 1e-150)
+        )
+        for one, other in zip(without, vanishing, strict=True):
+            np.testing.assert_array_equal(one, other)
