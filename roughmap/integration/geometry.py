@@ -9,7 +9,7 @@ import numpy.typing as npt
 from roughmap.arrays import I8
 from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS, PointReason
 from roughmap.integration.blocks import BlockState, point_blocks, scan_blocks
-from roughmap.integration.workspace import Planes, ThreadScratch, Workspace
+from roughmap.integration.workspace import Block, Planes, TouchedTiles, Workspace
 from roughmap.points.checks import checked_covariances, checked_integers, checked_points, checked_stamps
 from roughmap.points.place import pose_at
 from roughmap.points.scan import Limits, Noise, Scan, scan_rules
@@ -17,8 +17,8 @@ from roughmap.points.strided import source_of
 from roughmap.points.trajectory import Trajectory
 from roughmap.settings import MapSettings
 
-Geometry = Callable[[int, int, ThreadScratch, BlockState], tuple[int, BlockState]]
-"""Phase one over a range of points: (start, stop, scratch, state before) to (where it stopped, state there)."""
+Geometry = Callable[[int, int, Block, TouchedTiles, BlockState], tuple[int, BlockState]]
+"""Phase one over a range of points: (start, stop, scratch, tiles, state before) to (where it stopped, state there)."""
 
 
 class PointInput(NamedTuple):
@@ -55,8 +55,8 @@ def placed_points(
         planes.reason[:number][late & np.isfinite(checked).all(axis=1)] = PointReason.TIME
     source, rules = source_of(checked), settings.rules
 
-    def bound(start: int, stop: int, scratch: ThreadScratch, state: BlockState) -> tuple[int, BlockState]:
-        return point_blocks(start, stop, planes, scratch.block, source, matrices, rules, scratch.tiles.arrays, state)
+    def bound(start: int, stop: int, block: Block, tiles: TouchedTiles, state: BlockState) -> tuple[int, BlockState]:
+        return point_blocks(start, stop, planes, block, source, matrices, rules, tiles.arrays, state)
 
     return PointInput(checked, planes, stamps, bound)
 
@@ -73,10 +73,10 @@ def scan_points(
     planes = space.planes(number)
     source, rules = source_of(scan.points), settings.rules
 
-    def place(start: int, stop: int, scratch: ThreadScratch, state: BlockState) -> tuple[int, BlockState]:
+    def place(start: int, stop: int, block: Block, tiles: TouchedTiles, state: BlockState) -> tuple[int, BlockState]:
         return scan_blocks(
-            start, stop, planes, scratch.block, source, offsets, scan.offsets_ns is not None, scan.stamp_ns, path,
-            gap, posed, pose, returns, rules, scratch.tiles.arrays, state,
+            start, stop, planes, block, source, offsets, scan.offsets_ns is not None, scan.stamp_ns, path,
+            gap, posed, pose, returns, rules, tiles.arrays, state,
         )  # fmt: skip
 
     return PointInput(scan.points, planes, stamps, place)

@@ -13,7 +13,7 @@ from roughmap.arrays import I4, I8, U1, U8
 from roughmap.cell import REASON_NAMES, TILE_CELLS, TooManyTiles
 from roughmap.integration.geometry import Geometry, PointInput
 from roughmap.integration.tile_update import collect_odd, update_tiles
-from roughmap.integration.workspace import Planes, ThreadScratch, Workspace, blocks_of
+from roughmap.integration.workspace import Planes, ThreadScratch, TouchedTiles, Workspace, blocks_of
 from roughmap.jit import kernel
 from roughmap.points.place import BLOCK
 from roughmap.settings import MapSettings, Rules
@@ -43,13 +43,15 @@ class AddReport:
 class Work(NamedTuple):
     """What phase one leaves for phase two.
 
-    ``planes``, ``stamps``: the points and their stamps, (1,) or (N,). ``edges`` (P + 1,): the range of points of each
-    part. ``rows`` (P, R): see `_merge_parts`. For each tile of the merged table, ``tx``, ``ty`` (T,): its numbers;
-    ``entries`` (T,): its entry in the map's table, or -1; ``owner`` (T,): the part that updates it; ``bits`` (T, 64):
-    room for its changed cells. ``new``: the rows without an entry. ``changed`` (T, 2): the tiles, ascending.
+    ``planes``, ``stamps``: the points and their stamps, (1,) or (N,). ``parts``: number of threads. ``edges`` (Q + 1,):
+    where the ranges of points begin and end. ``rows`` (Q, R): see `_merge_ranges`. For each tile of the merged table,
+    ``tx``, ``ty`` (T,): its numbers; ``entries`` (T,): its entry in the map's table, or -1; ``owner`` (T,): the part
+    that updates it; ``bits`` (T, 64): room for its changed cells. ``new``: the rows without an entry. ``changed``
+    (T, 2): the tiles, ascending.
     """
 
     planes: Planes
+    parts: int
     edges: I8
     stamps: I8
     rows: I4
@@ -84,7 +86,7 @@ def _find_all(table: I4, keys: U8, wanted: U8, entries: I4) -> None:
 
 @kernel
 def _merge(table: I4, keys: U8, work: I8, number: int, found: U8, points: I8, rows: I4) -> int:
-    """Add the tiles of a part to the merged ones; set ``rows`` to their rows there and return the number of tiles."""
+    """Add the tiles of a range to the merged ones; set ``rows`` to their rows there and return the number of tiles."""
     for n in range(len(found)):
         row, number = find_or_add(table, keys, work, found[n], number)
         work[row] += points[n]
@@ -102,13 +104,14 @@ def _assign_owners(order: I8, work: I8, parts: int, owner: U1) -> None:
         load[least] += work[n]
 
 
-def find_tiles(start: int, stop: int, planes: Planes, rules: Rules, scratch: ThreadScratch, geometry: Geometry) -> None:
-    """Compute the ``geometry`` of a range of points and collect their tiles in ``scratch``."""
-    tiles = scratch.tiles
+def find_tiles(
+    start: int, stop: int, planes: Planes, rules: Rules, scratch: ThreadScratch, tiles: TouchedTiles, geometry: Geometry
+) -> None:
+    """Compute the ``geometry`` of a range of points and collect its tiles."""
     tiles.clear()
     at, state = start, (0, start, start)
     while at < stop:
-        at, state = geometry(at, stop, scratch, state)
+        at, state = geometry(at, stop, scratch.block, tiles, state)
         tiles.number, tiles.runs, _ = state
         if at < stop:
             tiles.double()
@@ -121,10 +124,10 @@ def find_tiles(start: int, stop: int, planes: Planes, rules: Rules, scratch: Thr
             tiles.double()
 
 
-def _merge_parts(space: Workspace, parts: int) -> I4:
-    """Merge the tiles of all parts into the first part's table; return the (P, R) rows there of each part's tiles."""
-    first, *others = [scratch.tiles for scratch in space.scratch[:parts]]
-    rows = np.empty((parts, max(first.number, *(other.number for other in others), 1)), np.int32)
+def _merge_ranges(ranges: list[TouchedTiles]) -> I4:
+    """Merge the tiles of all ranges into the first one's table; return the (Q, R) rows there of each range's tiles."""
+    first, *others = ranges
+    rows = np.empty((len(ranges), max(first.number, *(other.number for other in others), 1)), np.int32)
     rows[0, : first.number] = np.arange(first.number)
     for n, other in enumerate(others, 1):
         while 2 * (first.number + other.number) > len(first.table):
@@ -152,35 +155,45 @@ def phase_one(
     array, planes, stamps, geometry = points
     number = len(array)
     parts = space.parts(number)
-    edges = np.array([min(blocks_of(number) * n // parts * BLOCK, number) for n in range(parts + 1)])
+    edges = _edges(number, parts)
+    ranges = space.tiles(len(edges) - 1)
 
     def find(part: int, scratch: ThreadScratch) -> None:
-        find_tiles(int(edges[part]), int(edges[part + 1]), planes, settings.rules, scratch, geometry)
+        # The first and the last range, the second and the last but one, and so on. Points mostly come ring by ring, and
+        # the more distant the ring, the more cells has a point: parts of one range each would differ in work.
+        for n in sorted({part, len(ranges) - 1 - part}):
+            find_tiles(int(edges[n]), int(edges[n + 1]), planes, settings.rules, scratch, ranges[n], geometry)
 
     space.run(parts, find)
-    counts = np.sum([scratch.tiles.rejected for scratch in space.scratch[:parts]], axis=0)
+    counts = np.sum([tiles.rejected for tiles in ranges], axis=0)
     accepted = number - int(counts.sum())
     rejected = {name: n for name, n in zip(REASON_NAMES, counts.tolist(), strict=True) if n}
     if not accepted:
         return Prepared(0, rejected)
-    work = _work(planes, edges, stamps, table, space, max_new_tiles, max_tiles)
+    work = _work(planes, parts, edges, stamps, table, ranges, max_new_tiles, max_tiles)
     table.bring_back(work.entries[work.entries >= 0], reader_lock)
     return Prepared(accepted, rejected, work, (*version, space.uses))
 
 
+def _edges(number: int, parts: int) -> I8:
+    """Cut the points into ranges of whole blocks, two for each of several parts; return where they begin and end."""
+    ranges = 2 * parts if parts > 1 else 1
+    return np.array([min(blocks_of(number) * n // ranges * BLOCK, number) for n in range(ranges + 1)])
+
+
 def _work(
     planes: Planes,
+    parts: int,
     edges: I8,
     stamps: I8,
     table: TileTable,
-    space: Workspace,
+    ranges: list[TouchedTiles],
     max_new_tiles: int | None,
     max_tiles: int | None,
 ) -> Work:
-    """Merge the tiles of the parts, look them up and assign them. `TooManyTiles` if too many are new."""
-    parts = len(edges) - 1
-    rows = _merge_parts(space, parts)
-    tiles = space.scratch[0].tiles
+    """Merge the tiles of the ranges, look them up and assign them. `TooManyTiles` if too many are new."""
+    rows = _merge_ranges(ranges)
+    tiles = ranges[0]
     number = tiles.number
     keys, work = tiles.keys[:number], tiles.work[:number]
     entries = np.empty(number, np.int32)
@@ -196,10 +209,11 @@ def _work(
     ty = keys.astype(np.uint32).view(np.int32)
     order = np.lexsort((ty, tx))
     owner = np.zeros(number, np.uint8)
-    _assign_owners(np.argsort(-work, kind="stable"), work, parts, owner)
+    if parts > 1:
+        _assign_owners(np.argsort(-work, kind="stable"), work, parts, owner)
     bits = np.zeros((number, TILE_CELLS), np.uint64)
     changed = np.stack([tx[order], ty[order]], axis=1)
-    return Work(planes, edges, stamps, rows, tx, ty, entries, new, changed, owner, bits)
+    return Work(planes, parts, edges, stamps, rows, tx, ty, entries, new, changed, owner, bits)
 
 
 def phase_two(work: Work, sequence: int, table: TileTable, settings: MapSettings, space: Workspace) -> int:
@@ -208,17 +222,18 @@ def phase_two(work: Work, sequence: int, table: TileTable, settings: MapSettings
     A MemoryError comes before anything has changed.
     """
     tx, ty, entries, new = work.tx, work.ty, work.entries.copy(), work.new
-    tiles = space.scratch[0].tiles
+    ranges = space.tiles(len(work.edges) - 1)
+    tiles = ranges[0]  # of all, merged
     # All memory is allocated before the first cell is written, so that a failure changes nothing.
     table.make_writable(entries[entries >= 0])
-    entries[new] = table.insert(tx[new], ty[new], dense=tiles.work[new] >= _DENSE_POINTS)
+    if len(new):
+        entries[new] = table.insert(tx[new], ty[new], dense=tiles.work[new] >= _DENSE_POINTS)
     table.used[entries] = sequence
 
     oldest, newest = table.oldest_ns[entries], table.newest_ns[entries]
     oldest[new], newest[new] = _NEVER_NS.max, _NEVER_NS.min
     address = table.pool.address[table.slot[entries]]
-    parts = len(work.edges) - 1
-    ends = np.array([scratch.tiles.runs for scratch in space.scratch[:parts]])
+    ends = np.array([touched.runs for touched in ranges])
 
     def update(part: int, scratch: ThreadScratch) -> None:
         update_tiles(
@@ -242,7 +257,7 @@ def phase_two(work: Work, sequence: int, table: TileTable, settings: MapSettings
             scratch.queue,
         )
 
-    space.run(parts, update)
+    space.run(work.parts, update)
     table.oldest_ns[entries] = oldest
     table.newest_ns[entries] = newest
     table.digest_known[entries] = False

@@ -211,9 +211,9 @@ def update_tiles(
 ) -> None:
     """Update the cells of the tiles that ``part`` owns, in the order of the points.
 
-    ``starts``, ``ends`` (P,): the rows of the runs of each part of phase one. ``rows`` (P, R): the rows in the merged
-    table of the tiles that each part found. ``stamps``: (1,) for all points, or (N,). ``bits`` (T, 64) receives a bit
-    for each changed cell, rows along y. ``oldest``, ``newest`` (T,) are extended by the stamps of the points.
+    ``starts``, ``ends`` (Q,): the rows of the runs of each range of phase one. ``rows`` (Q, R): the rows in the merged
+    table of the tiles that each range touches. ``stamps``: (1,) for all points, or (N,). ``bits`` (T, 64) receives a
+    bit for each changed cell, rows along y. ``oldest``, ``newest`` (T,) are extended by the stamps of the points.
     """
     model, a, _, window, _, min_share = rules
     w0, v0, w1, v1 = window

@@ -101,7 +101,7 @@ class Queue(NamedTuple):
 
 
 class TouchedTiles:
-    """The tiles that a part of a scan touches, by key, in a small hash table that doubles when it is half full.
+    """The tiles that a range of points touches, by key, in a small hash table that doubles when it is half full.
 
     ``work``: number of points in each tile. ``number``: number of tiles. ``runs``: the row after the last run.
     ``rejected``: number of points by `PointReason`.
@@ -140,7 +140,7 @@ class TouchedTiles:
 
 
 class ThreadScratch:
-    """The scratch memory of one thread: a block, the tiles of its part, the shares of a footprint, a queue."""
+    """The scratch memory of one thread: a block, the shares of a footprint, a queue."""
 
     def __init__(self, side: int) -> None:
         self.block = Block(
@@ -151,7 +151,6 @@ class ThreadScratch:
             np.zeros((4, BLOCK)),
             np.zeros(BLOCK, np.uint8),
         )
-        self.tiles = TouchedTiles()
         self.lines = np.zeros((5, side + 1))
         self.shares = np.empty(side * side)
         room = QUEUE + max(side * side, 4 * RUN)
@@ -170,12 +169,14 @@ class Workspace:
         self.uses = 0
         self._planes = _planes(0)
         self._scratch = [ThreadScratch(side)]
+        self._tiles = [TouchedTiles()]
         self._pool: ThreadPoolExecutor | None = None
 
-    @property
-    def scratch(self) -> list[ThreadScratch]:
-        """The scratch of each thread that was needed so far."""
-        return self._scratch
+    def tiles(self, ranges: int) -> list[TouchedTiles]:
+        """Return the touched tiles of so many ranges of points, as the last call left them."""
+        while len(self._tiles) < ranges:
+            self._tiles.append(TouchedTiles())
+        return self._tiles[:ranges]
 
     def planes(self, number: int) -> Planes:
         """Return planes for ``number`` points, in whole blocks. ``reason`` is 0, all else is left from before."""
@@ -192,7 +193,7 @@ class Workspace:
         return part
 
     def parts(self, number: int) -> int:
-        """Return the number of parts into which the work on ``number`` points is split."""
+        """Return the number of threads that share the work on ``number`` points."""
         return max(1, min(self.threads, number // _POINTS_PER_THREAD))
 
     def run(self, parts: int, task: Callable[[int, ThreadScratch], None]) -> None:
