@@ -21,7 +21,7 @@ from roughmap.tiles.changes import mark_changed
 from roughmap.tiles.index import find, find_or_add
 from roughmap.tiles.table import ReaderLock, TileTable
 
-_DENSE_POINTS = 128
+_DENSE_POINTS = 8
 """A new tile with at least this many points of one scan will soon be mostly known."""
 
 _NEVER_NS = np.iinfo(np.int64)
