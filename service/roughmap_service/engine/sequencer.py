@@ -27,7 +27,7 @@ PATIENCE_SECONDS = 0.1
 """The longest that poses wait to be taken together while no cloud waits for them."""
 
 MEMORY_SECONDS = 0.1
-"""The longest time between two looks at the memory."""
+"""The time between two looks at the memory while nothing is decided: readers and queues take memory too."""
 
 
 class NotFollowed(BaseException):
@@ -184,9 +184,8 @@ class Sequencer:
     def _do_what_is_due(self) -> None:
         """Checkpoint, rotate the log, take a snapshot and make room in memory if due."""
         now = time.monotonic()
-        if self._decided:
-            self._next_look = now + MEMORY_SECONDS  # looked at before the cloud
-        elif now >= self._next_look:  # readers and queues take memory too
+        waiting = self.live.run.inbox.deadline() is not None
+        if (self._decided and not waiting) or now >= self._next_look:  # before each cloud it is looked at anyway
             self._memory.relieve(self.live.view.reading)
             self._next_look = now + MEMORY_SECONDS
         if now >= self._next_checkpoint:
