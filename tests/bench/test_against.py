@@ -138,7 +138,8 @@ def test_a_quick_comparison_is_whole_and_leaves_nothing(tmp_path: Path) -> None:
 
 @clone
 @pytest.mark.timeout(600)
-def test_ctrl_c_leaves_no_sources_and_no_process(tmp_path: Path) -> None:
+def test_its_end_leaves_no_sources_and_no_process(tmp_path: Path) -> None:
+    """By SIGTERM: a run in the background of a shell, as these tests may be, has its Ctrl-C ignored."""
     arguments = [sys.executable, str(RUN), "HEAD", "--quick", "--only", "kernel.point", "--out", str(tmp_path / "out")]
     temporary = tmp_path / "temporary"
     temporary.mkdir()
@@ -148,9 +149,9 @@ def test_ctrl_c_leaves_no_sources_and_no_process(tmp_path: Path) -> None:
         assert process.stderr is not None
         assert "kernel: pairs of processes: 1" in process.stderr.readline(), "said once the sources are there"
         assert str(temporary) in worktrees()
-        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGTERM)
         process.communicate(timeout=WAIT_S)
-    assert process.returncode == 130
+    assert process.returncode == 143
     assert list(temporary.iterdir()) == []
     assert str(tmp_path) not in worktrees()
     assert running(str(temporary)) == []

@@ -28,7 +28,7 @@ def test_a_robot_forges_no_line_of_the_log(tmp_path: Path) -> None:
         assert feed.refused("points", "rover1", encode_cloud(np.zeros((1, 3)), T0, f"lidar{TRICK}")) == "unknown_sensor"
         assert service.stop() == 0
     (line,) = [line for line in service.err if "all is well" in line]
-    assert "[sensors.lidar\\x1b]0;mine\\x07\\n12:00:00" in line
+    assert "robot rover1 sensor lidar\\x1b]0;mine\\x07\\n12:00:00" in line
     assert not obeyed("\n".join(service.err))
 
 
