@@ -32,8 +32,8 @@ class _Compressors(threading.local):
     """One compressor per thread: it can't be shared, and a new one costs as much as compressing a tile."""
 
     def __init__(self) -> None:
-        # Of a region of 20 x 20 m, level -1 leaves 62 % in half the time of level 1, which leaves 57 %, and it unpacks in
-        # a fifth of the time: heights hardly shrink at any level, and unknown cells vanish at all.
+        # Of a region of 20 x 20 m, level -1 leaves 62 % in half the time of level 1, which leaves 57 %, and unpacks
+        # in a fifth of the time: heights hardly shrink at any level, and unknown cells vanish at all.
         self.own = zstandard.ZstdCompressor(level=-1)
 
 
