@@ -81,7 +81,7 @@ class _Stream:
 class _Watched:
     """A robot or a sensor: when it was heard last, its streams by kind, and standing facts about it by name.
 
-    ``on_the_way``: messages lost on the way by kind.
+    ``on_the_way``: messages lost on the way by kind; ``untold``: the kinds of which it is not told yet.
     """
 
     heard: float
@@ -89,6 +89,7 @@ class _Watched:
     streams: dict[str, _Stream] = field(default_factory=dict)
     remarks: dict[str, str] = field(default_factory=dict)
     on_the_way: dict[str, int] = field(default_factory=dict)
+    untold: set[str] = field(default_factory=set)
 
 
 class Streams:
@@ -132,15 +133,17 @@ class Streams:
         """Count a transform that reached the log."""
         self._take(Subject(robot), TRANSFORMS, None, known_only=True)
 
-    def gap(self, robot: str, kind: str, number: int) -> str | None:
-        """Count messages of a kind that were lost on the way. Return what is to be logged, if anything."""
+    def gap(self, robot: str, kind: str, number: int) -> None:
+        """Count messages of a kind that were lost on the way. Until something of the robot is taken, it is not told."""
         with self._lock:
-            watched = self._watched.get(Subject(robot))
-            if watched is None or watched.stranger:
-                return None
-            total = watched.on_the_way[kind] = watched.on_the_way.get(kind, 0) + number
-        text = lost_on_the_way(robot, kind, total)
-        return self.recent.add(Subject(robot), f"gap {kind}", lambda: text)
+            watched = self._find(Subject(robot), self._clock(), stranger=True)
+            if watched is None:
+                return
+            watched.on_the_way[kind] = total = watched.on_the_way.get(kind, 0) + number
+            if watched.stranger:
+                watched.untold.add(kind)
+                return
+        _tell_gap(self.recent, robot, kind, total)
 
     def happened(self, subject: Subject, name: str, text: str) -> str | None:
         """List for a while what happened once to a subject. Return the sentence if it is to be logged."""
@@ -224,6 +227,8 @@ class Streams:
             watched = self._watched.get(subject) if known_only else self._find(subject, now, stranger=stranger)
             if watched is None or (known_only and kind not in watched.streams):
                 return
+            gaps = {} if watched.stranger else {of: watched.on_the_way[of] for of in watched.untold}
+            watched.untold -= gaps.keys()
             stream = watched.streams.get(kind)
             if stream is None:
                 stream = watched.streams[kind] = _Stream()
@@ -240,6 +245,8 @@ class Streams:
             if changed:
                 stream.told_at = now
                 stream.told = "" if lost is None else self._sentence(subject, kind, lost, losses, figures)
+        for of, total in gaps.items():
+            _tell_gap(self.recent, subject.robot, of, total)
         if some is not None and cause is not None and cause.kind != "refused":  # each refusal has its line
             _note_some(subject, cause.reason, some)
         if not changed:
@@ -326,6 +333,12 @@ def limited(problems: dict[str, str]) -> dict[str, str]:
     kept = dict(list(problems.items())[: MAX_PROBLEMS - 1])
     number = len(problems) - len(kept)
     return {**kept, "others": f"{number} more problems; the log lines stream_lost and remark tell each"}
+
+
+def _tell_gap(recent: Recent, robot: str, kind: str, total: int) -> None:
+    text = recent.add(Subject(robot), f"gap {kind}", lambda: lost_on_the_way(robot, kind, total))
+    if text is not None:
+        note(logger, logging.WARNING, "gap", text, robot=robot, reason=kind, missing=total)
 
 
 def _note_some(subject: Subject, reason: str, text: str) -> None:

@@ -11,7 +11,6 @@ import zenoh
 from roughmap_schemas import Keys, MessageFault, Refusal, check_encoding, encodings
 from roughmap_schemas.kinds import Kind
 from roughmap_service.host.counters import OTHERS, Counters
-from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.admission import refuse
 from roughmap_service.inputs.gaps import Gaps
 from roughmap_service.inputs.queue import InputMessage, InputQueue
@@ -124,8 +123,7 @@ class ZenohInputs:
             return
         if lost:
             self._counters.gap(robot, lost)
-            if text := self._streams.gap(robot, kind.value, lost):
-                note(logger, logging.WARNING, "gap", text, robot=robot, reason=kind.value, missing=lost)
+            self._streams.gap(robot, kind.value, lost)
 
 
 ENCODINGS = {
