@@ -71,14 +71,20 @@ def read_covariance(given: Sequence[float]) -> tuple[NDArray[np.float64] | None,
         return None, ""
     if not np.isfinite(matrix).all():
         return None, "a number that is not finite"
+    if not (matrix == matrix.T).all() and not _is_nearly_symmetric(matrix):
+        return None, "it is not symmetric"
+    return matrix, ""
+
+
+def _is_nearly_symmetric(matrix: NDArray[np.float64]) -> bool:
     variances = [abs(float(value)) for value in matrix.diagonal()]
     for row in range(6):
         for column in range(row + 1, 6):
             upper, lower = float(matrix[row, column]), float(matrix[column, row])
             scale = max(abs(upper), abs(lower), math.sqrt(variances[row]) * math.sqrt(variances[column]))
             if abs(upper - lower) > SYMMETRY * scale:
-                return None, "it is not symmetric"
-    return matrix, ""
+                return False
+    return True
 
 
 def encode_odometry(

@@ -39,7 +39,10 @@ def entries(payload: bytes, what: str, start: int, end: int) -> Iterator[Entry]:
     at = start
     while at < end:
         tag = at
-        key, at = _varint(payload, what, at, end)
+        if (key := payload[at]) < 0x80:  # as most are
+            at += 1
+        else:
+            key, at = _varint(payload, what, at, end)
         number, wire = key >> 3, key & 7
         if wire == VARINT:
             value = at
@@ -49,7 +52,10 @@ def entries(payload: bytes, what: str, start: int, end: int) -> Iterator[Entry]:
         elif wire == FIXED32:
             value, at = at, at + 4
         elif wire == LENGTH:
-            length, value = _varint(payload, what, at, end)
+            if at < end and (length := payload[at]) < 0x80:
+                value = at + 1
+            else:
+                length, value = _varint(payload, what, at, end)
             at = value + length
         else:
             raise bad_message(f"expected {what}; found no protobuf message (wire type {wire} at byte {tag})")

@@ -84,6 +84,8 @@ def _scale(c: list[list[float]], i: int, variance: float) -> None:
 def _slack(c: list[list[float]]) -> float:
     """Return what to add to the variances, relative to them, so that the matrix is a covariance; raise if it is too far
     from one."""
+    if not any(any(c[i][:i]) for i in range(1, 6)):  # nothing is correlated, as with most drivers
+        return 0.0
     sigmas = [math.sqrt(c[i][i]) for i in range(6)]
     r = [[0.0] * 6 for _ in range(6)]
     for i in range(6):
