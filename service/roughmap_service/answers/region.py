@@ -90,19 +90,20 @@ def _mosaic(drawing: Drawing, cells: CellBox, compression: Compression, key: str
     x0, y0, x1, y1 = tile_box(cells)
     inside = (frozen.tiles >= (x0, y0)).all(axis=1) & (frozen.tiles <= (x1, y1)).all(axis=1)
     tiles, sequences = frozen.tiles[inside].tolist(), frozen.sequences[inside].tolist()
-    drawn = [drawing.tile(x, y, sequence) for (x, y), sequence in zip(tiles, sequences, strict=True)]
     packed = np.empty((j1 - j0, i1 - i0, len(form.layers)), np.dtype(f"<{form.dtype}"))
     if len(tiles) < (x1 - x0 + 1) * (y1 - y0 + 1):
         blank = [0.0 if name in ZERO_WHERE_UNKNOWN else np.nan for name in form.layers]
         # Ten times as fast as packed[:] = blank.
         packed.reshape(j1 - j0, -1)[:] = np.tile(np.array(blank, packed.dtype), i1 - i0)
-    known_cells = 0
+    known_cells, stamps = 0, []
     along_x = {x: overlap(x, i0, i1) for x in range(x0, x1 + 1)}
     along_y = {y: overlap(y, j0, j1) for y in range(y0, y1 + 1)}
-    for (x, y), tile in zip(tiles, drawn, strict=True):
+    for (x, y), sequence in zip(tiles, sequences, strict=True):  # one at a time: see `_weight`
+        tile = drawing.tile(x, y, sequence)
         (across, columns), (up, rows) = along_x[x], along_y[y]
         packed[up, across] = tile.values[rows, columns]
         known_cells += tile.known_among(rows, columns)
+        stamps.append((tile.info.oldest_ns, tile.info.newest_ns))
     info = TileInfo(
         map=served.map,
         instance=served.instance,
@@ -113,8 +114,8 @@ def _mosaic(drawing: Drawing, cells: CellBox, compression: Compression, key: str
         sequence=max(sequences, default=0),
         map_sequence=frozen.sequence,
         answer_tiles=1,
-        oldest_ns=min((tile.info.oldest_ns for tile in drawn), default=0),
-        newest_ns=max((tile.info.newest_ns for tile in drawn), default=0),
+        oldest_ns=min((oldest for oldest, _ in stamps), default=0),
+        newest_ns=max((newest for _, newest in stamps), default=0),
         known_cells=known_cells,
         digest=None,
         configuration_digest=served.configuration_digest,
