@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.remedies import Subject
 from roughmap_service.inputs.streams import Streams
-from roughmap_service.run.habits import BURST_REMEDY, JITTER_REMEDY, Bursts, find_bursts, find_jitter
+from roughmap_service.run.habits import BURST_REMEDY, JITTER_REMEDY, Bursts, find_bursts, find_jitter, later_transform
 from roughmap_service.run.robot import Robot
 from roughmap_service.run.settings import NS
 
@@ -53,13 +53,8 @@ class Habits:
         self._tell_bursts(robot, bursts)
         if not bursts and not state.clock.two_sources and (jitter := find_jitter([poses])):
             self._list(robot, "jitter", f"its odometry {jitter}; {JITTER_REMEDY}")
-        ahead = state.transforms.ahead(frame_id, poses[-1].stamp_ns)
-        if ahead > NS:
-            text = (
-                f"the transform to {frame_id!r} is stamped {ahead / NS:,.1f} s later than its poses: it holds as a "
-                "static one; stamp it on the poses' clock, or with 0"
-            )
-            self._list(robot, "transform_ahead", text)
+        if later := later_transform(frame_id, state.transforms.ahead(frame_id, poses[-1].stamp_ns)):
+            self._list(robot, "transform_ahead", f"{later}; stamp it on the poses' clock, or with 0")
 
     def _tell_bursts(self, robot: str, bursts: Bursts | None) -> None:
         """Scans are placed by wrong times then: a problem as long as it lasts."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from roughmap_service.run.leaps import motion_before
 from roughmap_service.run.poses import Pose
+from roughmap_service.run.settings import NS
 
 BURST = 0.2
 """A pose that follows so soon belongs to a burst: as a part of the mean time between two."""
@@ -28,6 +29,9 @@ FEWEST = 8
 
 RESTLESS = 5.0
 """m/s between neighbouring poses beyond the robot's own motion that are noise, and too much."""
+
+LATER_NS = NS
+"""A transform that is stamped so much later than all poses was stamped by another clock, or is static."""
 
 BURST_REMEDY = (
     "stamp each pose when it is measured, not when it arrives; while it is so, scans are placed by wrong times"
@@ -59,6 +63,14 @@ class Jitter(NamedTuple):
             f"jitters by {self.metres * 100:.1f} cm from pose to pose: it seems to move at {self.restless:.0f} m/s, "
             f"over longer times at {self.speed:.1f} m/s"
         )
+
+
+def later_transform(frame_id: str, ahead_ns: int) -> str | None:
+    """Return what is odd about a frame's transforms that are all so much later than its poses; None if nothing is."""
+    if ahead_ns <= LATER_NS:
+        return None
+    later = f"{ahead_ns / NS:,.1f} s later than the poses"
+    return f"the transform to {frame_id!r} is stamped {later}: it holds as a static one"
 
 
 def find_bursts(rows: Sequence[Sequence[int]]) -> Bursts | None:

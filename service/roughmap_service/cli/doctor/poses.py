@@ -10,16 +10,13 @@ import numpy as np
 from roughmap_schemas.config import Config
 from roughmap_service.cli.doctor.findings import Finding, table
 from roughmap_service.cli.doctor.heard import HeardPose, HeardTransform, rate, times
-from roughmap_service.run.habits import BURST_REMEDY, JITTER_REMEDY, find_bursts, find_jitter
+from roughmap_service.run.habits import BURST_REMEDY, JITTER_REMEDY, find_bursts, find_jitter, later_transform
 from roughmap_service.run.leaps import Leap, find_leap
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.settings import NS
 
 MAX_FOLLOWED = 5_000
 """Poses in a row whose motion is followed: the last ones."""
-
-LATER_NS = NS
-"""A transform that is stamped so much later than all poses was stamped by another clock, or is static."""
 
 MAX_FRAMES = 64
 """Frames of odometry that are told apart."""
@@ -137,10 +134,9 @@ def _later(robot: str, child: str, poses: Sequence[HeardPose], transforms: Seque
         return []
     newest = max(pose.stamp_ns for pose in poses)
     early = min(one.stamp_ns for one in transforms)
-    ahead = early - newest
-    if ahead <= LATER_NS or newest == 0:
+    text = later_transform(child, early - newest)
+    if text is None or newest == 0:
         return []
-    text = f"the transform to {child!r} is stamped {ahead / NS:,.1f} s later than the poses: it holds as a static one"
     if len({one.stamp_ns for one in transforms}) == 1:
         return [Finding(robot, "note", text, "give a static transform the stamp 0")]
     remedy = "let odometry and transforms be stamped by one clock; give a static transform the stamp 0"
