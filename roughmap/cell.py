@@ -33,6 +33,48 @@ CELL_DTYPE = np.dtype(
 ``max``: heights, metres. ``inv_cf``: sum of w / d^2 (eq. 16).
 """
 
+TRUST_DTYPE = np.dtype(
+    [
+        ("variance", "<f4"),
+        ("shared", "<f4"),
+        ("pose_variance", "<f4"),
+        ("mount_sigma", "<f4"),
+        ("stamp_ms", "<u4"),
+    ]
+)
+"""What a cell's mean height owes to errors that its points have in common: 20 bytes; zeros for an unknown cell.
+
+``variance``: V, variance of the mean from the errors of the poses. ``shared``: L, covariance of the mean with the
+present pose's error. ``pose_variance``: C, weighted mean of the points' variances from the poses. All three in square
+metres. ``mount_sigma``: M, weighted mean of the points' sigmas from the mounting, metres. ``stamp_ms``:
+floor(stamp / 1e6) modulo 2^32 of the newest update.
+"""
+
+COLUMN_BINS = 80
+"""Height bins of a column, of 0.05 m each: a nibble each, the lower half of a byte first."""
+
+COLUMN_DTYPE = np.dtype(
+    [
+        ("candidates", "<u2"),
+        ("flags", "<u2"),
+        ("unused", "<u4"),
+        ("candidate_mean", "<f8"),
+        ("above_updated", "<u4"),
+        ("base", "<i4"),
+        ("bins", "u1", (COLUMN_BINS // 2,)),
+    ]
+)
+"""What is above and below the ground in a cell: one cache line of 64 bytes, zeros where nothing was seen.
+
+``candidates``, ``candidate_mean``: number and mean height, metres, of the points that may become a new ground outside
+the bins. ``flags``: ``SUPPORTED`` | ``BASED``. ``above_updated``: largest whole second of the points off the ground.
+``base``: lower end of the bins, in units of 0.1 m. ``bins``: hits in each bin, at most 15; bin k holds the heights in
+[(2 base + k) 0.05, (2 base + k + 1) 0.05) m.
+"""
+
+SUPPORTED, BASED = 1, 2
+"""Flags of a column: its ground has been confirmed; its bins are in use."""
+
 STAMP_LIMIT_NS = (1 << 32) * 1_000_000_000
 """Stamps lie in [0, 2^32 s): whole seconds fit the cell's ``updated``."""
 

@@ -1,0 +1,29 @@
+"""The state of a tile, as stores, shelves and readers see it."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from roughmap.arrays import Records
+
+
+class TileState(NamedTuple):
+    """The three arrays of a tile, (4096,) each, j outer, i inner.
+
+    ``cells`` of CELL_DTYPE, ``trust`` of TRUST_DTYPE, ``column`` of COLUMN_DTYPE; None if no cell has a column.
+    """
+
+    cells: Records
+    trust: Records
+    column: Records | None
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+        return sum(array.nbytes for array in self.arrays)
+
+    @property
+    def arrays(self) -> tuple[npt.NDArray[np.void], ...]:
+        """The arrays that there are, in the order in which they are stored and digested."""
+        return (self.cells, self.trust) if self.column is None else (self.cells, self.trust, self.column)
