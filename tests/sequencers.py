@@ -1,10 +1,9 @@
 """A sequencer for tests, with ample memory and without periodic checkpoints and snapshots."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from roughmap import RoughMap
 from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.sequencer import Intervals, Sequencer
 from roughmap_service.inputs.queue import InputQueue
@@ -25,9 +24,5 @@ def sequencer_of(
     queue: InputQueue,
     writer: LogWriter,
     memory: MemoryLimit,
-    *,
-    before_reset: Callable[[RoughMap], None] = lambda _: None,
 ) -> Sequencer:
-    return Sequencer(
-        live, queue, writer, memory, Intervals(3600.0, 3600.0), take_snapshot=lambda: None, before_reset=before_reset
-    )
+    return Sequencer(live, queue, writer, memory, Intervals(3600.0, 3600.0), take_snapshot=lambda: None)

@@ -12,12 +12,13 @@ import zenoh
 from net import open_pair, wait_for
 
 from roughmap import RoughMap
+from roughmap.tiles.index import TileBox
 from roughmap_schemas.config import Config, configuration_digest
 from roughmap_schemas.keys import Keys
 from roughmap_schemas.messages import MapStatus, QueryRecord
+from roughmap_service.answers.emptied_tiles import EmptiedHistory
 from roughmap_service.answers.map_reader import MapReader
 from roughmap_service.answers.queryables import Answers
-from roughmap_service.answers.reset_history import ResetHistory
 from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.answers.updates import RecordUpdate, Updates
 from roughmap_service.host.counters import Counters
@@ -42,8 +43,9 @@ def some_points(number: int = 1500, seed: int = 7, centre: tuple[float, float] =
 def filled(config: Config) -> RoughMap:
     """Five scans, each in another place, so that tiles differ in sequence and stamps."""
     rough_map = RoughMap(
-        cell_size=config.map.cell_size, error_model=config.map.error_model, levels=config.map.levels, threads=1
-    )
+        cell_size=config.map.cell_size, error_model=config.map.error_model, levels=config.map.levels, threads=1,
+        surface=config.map.surface,
+    )  # fmt: skip
     for number, centre in enumerate([(0.0, 0.0), (12.0, 0.0), (-40.0, 7.0), (12.0, 12.0), (0.0, -12.0)]):
         rough_map.add(some_points(1500, number, centre), S, T0 + number * 10**9)
     return rough_map
@@ -68,11 +70,13 @@ class Served:
         self.map = filled(self.config)
         self.view = View(self.map, self.epoch)
         self.keys = Keys(self.config.map.name, self.config.keys)
-        self.resets = ResetHistory(self.config.map.max_tiles)
+        self.emptied = EmptiedHistory(self.config.map.max_tiles)
         self.counters = Counters()
         self.progress = RunProgress()
         self.digest = configuration_digest(self.config)
-        self.served_map = ServedMap(self.config.map.name, RUN, self.instance, self.digest, self.config.map.frame_id)
+        self.served_map = ServedMap(
+            self.config.map.name, RUN, self.instance, self.digest, self.config.map.frame_id, self.config.map.surface
+        )  # fmt: skip
         self.records: list[QueryRecord] = []
         self.recorded = threading.Condition()
         self._stack = ExitStack()
@@ -81,7 +85,7 @@ class Served:
         self.server, self.asker = self.sessions or self._stack.enter_context(open_pair())
         self._stack.callback(self.map.close)
         self._stack.callback(self.view.wake)
-        self.reader = MapReader(self.view, self.keys, self.config, self.served_map, self.resets)
+        self.reader = MapReader(self.view, self.keys, self.config, self.served_map, self.emptied)
         actions = self.actions or {"reset": self.reset}
         if self.status is None:
             self.status = Status(
@@ -90,10 +94,10 @@ class Served:
         self.answers = self._stack.enter_context(
             Answers(
                 self.server, self.reader, self.config.query, status=self.status, control=actions,
-                record_query=self._record,
+                forget=self.forget, record_query=self._record,
             )
         )  # fmt: skip
-        self._wait_known(self.keys.control(list(actions)[-1]))
+        self._wait_known(self.keys.control("forget"))
         return self
 
     def _wait_known(self, key: str) -> None:
@@ -130,7 +134,15 @@ class Served:
     def reset(self) -> tuple[int, int]:
         """Reset the map as the sequencer does."""
         with self.view.change() as rough_map:
-            self.resets.note(rough_map)
+            self.emptied.note(rough_map.tile_sequences()[0], rough_map.sequence + 1)
             rough_map.reset()
             self.view.epoch += 1
             return rough_map.sequence, self.view.epoch
+
+    def forget(self, box: TileBox | None, older: float | None, why: str) -> tuple[int, int, int]:
+        """Forget the tiles in a box, as the sequencer does."""
+        with self.view.change() as rough_map:
+            tiles = rough_map.tile_sequences(0, box)[0]
+            rough_map.forget(tiles)
+            self.emptied.note(tiles, rough_map.sequence)
+            return rough_map.sequence, self.view.epoch, len(tiles)

@@ -12,6 +12,7 @@ from typing import IO, Any, Self
 
 import numpy as np
 
+from roughmap.arrays import I4
 from roughmap_schemas import (
     CheckpointEvent,
     Config,
@@ -25,6 +26,7 @@ from roughmap_schemas import (
     encode_transform,
 )
 from roughmap_schemas.kinds import Kind
+from roughmap_service.answers.emptied_tiles import EmptiedHistory
 from roughmap_service.engine.live_run import LiveRun
 from roughmap_service.engine.recovery import Recovered, blank
 from roughmap_service.host.counters import Counters
@@ -114,6 +116,7 @@ class LoggedRun:
         open_file: Callable[[Path], IO[bytes]] = open_new,
         created_ns: int = T0,
         spill: Spill | None = None,
+        emptied: Callable[[I4, int], None] | None = None,
     ) -> None:
         self.config = settings or config()
         self.directory = directory
@@ -136,11 +139,13 @@ class LoggedRun:
         shelf = spill or self._open.enter_context(Spill(Path(apart, "tiles.spill"), 0))
         memory = MemoryLimit(1 << 50, shelf)
         self.published: list[bytes] = []
+        self.emptied = EmptiedHistory(1 << 20)
         self.counters = Counters()
         self.streams = Streams(self.config)
         self.live = LiveRun(
-            self.run, self.view, self.writer, self.recorder, self.counters, memory, self.streams, self.published.append
-        )
+            self.run, self.view, self.writer, self.recorder, self.counters, memory, self.streams, self.published.append,
+            emptied or self.emptied.note,
+        )  # fmt: skip
         self.run.resume(0.0)
 
     def put(self, kind: Kind, payload: bytes, robot: str = "rover") -> int:
@@ -170,7 +175,7 @@ class LoggedRun:
     def reset(self) -> ResetEvent:
         """Empty the map."""
         event = self.live.log_reset()
-        self.live.empty(event, lambda _: None, publish=True)
+        self.live.empty(event, publish=True)
         return event
 
     def rotate(self) -> None:

@@ -19,6 +19,7 @@ from roughmap_schemas.events import (
     EVENT,
     CheckpointEvent,
     Event,
+    ForgetEvent,
     IntegrationEvent,
     ResetEvent,
     SensorTimeEvent,
@@ -28,7 +29,7 @@ from roughmap_schemas.events import (
 from roughmap_schemas.faults import ConfigFault, ContractError, Fault, MessageFault, QueryFault, UnknownEventKind
 from roughmap_schemas.grid import Grid, decode_grid, encode_grid
 from roughmap_schemas.keys import Keys
-from roughmap_schemas.layers import LAYERS, LIMIT_NAMES
+from roughmap_schemas.layers import LAYERS, LIMIT_NAMES, Surface
 from roughmap_schemas.messages import (
     BadJson,
     CellAnswer,
@@ -49,7 +50,7 @@ from roughmap_schemas.point_times import NO_TIMES, TimeField, TimeForm, contract
 from roughmap_schemas.reasons import INTEGRATED, CloudReason, PointReason, PoseReason, QueryCode, Reason, Refusal
 from roughmap_schemas.robot_sections import SensorConfig
 from roughmap_schemas.run_metadata import RunMetadata
-from roughmap_schemas.selectors import CellsQuery, RegionQuery, TileQuery
+from roughmap_schemas.selectors import CellsQuery, ForgetQuery, RegionQuery, TileQuery
 from roughmap_schemas.transform import Transform, decode_transform, encode_transform
 
 __all__ = [
@@ -73,6 +74,8 @@ __all__ = [
     "ControlAnswer",
     "Event",
     "Fault",
+    "ForgetEvent",
+    "ForgetQuery",
     "Grid",
     "IntegrationEvent",
     "Keys",
@@ -94,6 +97,7 @@ __all__ = [
     "RunMetadata",
     "SensorConfig",
     "SensorTimeEvent",
+    "Surface",
     "TileInfo",
     "TileQuery",
     "TimeField",

@@ -82,8 +82,8 @@ class Config(Section):
         given: Any = values  # from a file: it may be anything that JSON can hold
         if isinstance(given, dict):
             given = {section: kept(section, table) for section, table in given.items()}
-            if isinstance(given.get("map"), dict):  # logs of versions without this limit had none
-                given["map"] = {"max_vertical_sigma": "inf", **given["map"]}
+            if isinstance(given.get("map"), dict):  # logs of versions without these settings
+                given["map"] = {"max_vertical_sigma": "inf", "surface": "all", **given["map"]}
         return cls.model_validate(given)
 
     @model_validator(mode="before")
@@ -135,18 +135,20 @@ class Config(Section):
         own = self.robots.get(robot)
         return "message" if own is None else own.pose_covariance
 
+    def pose_error_time(self, robot: str) -> float:
+        """Return how long errors of a robot's poses last, in seconds."""
+        return self.robots.get(robot, RobotConfig()).pose_error_time
+
     def identity(self) -> dict[str, Any]:
         """Return the settings that determine the map's cells: with other values the cells would differ."""
         # Imported here: it loads the kernels, which most readers of a configuration don't need.
         from roughmap.cell import STATE_VERSION  # noqa: PLC0415
 
-        names: tuple[str, ...] = (
-            "name", "frame_id", "cell_size", "error_model", "coverage", "min_radius", "min_distance", "min_share",
-            "max_horizontal_radius", "bounds",
+        names = (
+            "name", "frame_id", "surface", "cell_size", "error_model", "coverage", "min_radius", "min_distance",
+            "min_share", "max_horizontal_radius", "max_vertical_sigma", "bounds",
         )  # fmt: skip
         values = _jsonable(self.map.model_dump(mode="python"))
-        if math.isfinite(self.map.max_vertical_sigma):  # maps of versions without this limit had none
-            names = *names, "max_vertical_sigma"
         return {"state_version": STATE_VERSION, **{name: values[name] for name in names}}
 
     def public_dict(self) -> dict[str, Any]:

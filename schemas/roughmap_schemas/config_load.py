@@ -6,16 +6,17 @@ An error is one line: the source of the value, its key, and what is allowed.
 import difflib
 import json
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from roughmap_schemas.config import REMOVED, Config, without_secrets
 from roughmap_schemas.faults import ConfigFault
 from roughmap_schemas.keys import NAME_PATTERN, NAME_WORDS, TEMPLATES
+from roughmap_schemas.layers import default_limits
 from roughmap_schemas.values import LEAST
 
 DEFAULT_FILE: Final = Path("roughmap.toml")
@@ -26,7 +27,12 @@ MAX_FILE: Final = 1 << 20
 FILES_ONLY: Final = ("sensors", "robots")
 """Tables whose keys are names of frames and robots, which environment variables can't express."""
 
+TABLES: Final = (("map", "limits"), ("map", "keep"))
+"""Tables within a section whose values can be set one by one."""
+
 DEFAULT: Final = "default"
+
+T = TypeVar("T")
 
 SECRETS: Final = ("zenoh.password", "http.token")
 """Settings read from the environment only: command lines are visible to other users, and files get shared."""
@@ -63,13 +69,14 @@ def load_config(
     if file is not None:
         values = read_toml(file)
         given.update(dict.fromkeys(_leaves(values), f"file {file}"))
-    for name, text in sorted((environ or {}).items()):
-        if name.startswith(PREFIX):
-            source = f"environment {name}"
-            parts = tuple(name[len(PREFIX) :].lower().split("__"))
-            _put(values, given, parts, _from_text(parts, text, source), source)
-    for dotted, value in (overrides or {}).items():
-        _put(values, given, tuple(dotted.split(".")), value, "command line")
+    variables = sorted((name, text) for name, text in (environ or {}).items() if name.startswith(PREFIX))
+    for parts, (name, text) in _in_turn(
+        (name[len(PREFIX) :].lower().split("__"), (name, text)) for name, text in variables
+    ):
+        source = f"environment {name}"
+        _put(values, given, parts, _from_text(parts, text, source), source)
+    for parts, value in _in_turn((dotted.split("."), value) for dotted, value in (overrides or {}).items()):
+        _put(values, given, parts, value, "command line")
     for dotted in SECRETS:
         if not given.get(dotted, "environment").startswith("environment"):
             variable = PREFIX + dotted.upper().replace(".", "__")
@@ -138,19 +145,30 @@ def _put(values: dict[str, Any], given: dict[str, str], parts: tuple[str, ...], 
             f"{source}: {dotted}: unknown key{meant} (allowed: SECTION.KEY with {', '.join(_sections())})"
         )
     allowed = tuple(TEMPLATES) if parts[0] == "keys" else tuple(section.model_fields)
-    if parts[1] not in allowed or len(parts) > (3 if parts[:2] == ("map", "limits") else 2):
+    if parts[1] not in allowed or len(parts) > (3 if parts[:2] in TABLES else 2):
         meant = _meant(parts[1], allowed)
         raise ConfigFault(f"{source}: {dotted}: unknown key{meant} (allowed in {parts[0]}: {', '.join(allowed)})")
     table = values.setdefault(parts[0], {})
     if not isinstance(table, dict):
         raise ConfigFault(f"{given.get(parts[0], 'configuration')}: {parts[0]}: must be a table")
     if len(parts) == 3:
-        present = table.get(parts[1], Config().map.limits)
+        present = table.get(parts[1], _defaults(parts[1], table))
         value = {**(present if isinstance(present, dict) else {}), parts[2]: value}
     table[parts[1]] = value
     given[".".join(parts[:2])] = given[dotted] = source
     if len(parts) == 2 and isinstance(value, dict):
         given.update(dict.fromkeys(_deep(dotted, value, 0), source))
+
+
+def _in_turn(items: Iterable[tuple[Sequence[str], T]]) -> list[tuple[tuple[str, ...], T]]:
+    """Return keys and values in the order in which they are put: `map.surface` before limits that depend on it."""
+    given = [(tuple(parts), value) for parts, value in items]
+    return sorted(given, key=lambda item: item[0] != ("map", "surface"))
+
+
+def _defaults(name: str, table: Mapping[str, Any]) -> Mapping[str, object]:
+    """Return the values that a table within [map] has beside the one that is given."""
+    return default_limits(table.get("surface")) if name == "limits" else {}
 
 
 def _sections() -> list[str]:

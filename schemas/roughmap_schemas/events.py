@@ -22,7 +22,8 @@ class IntegrationEvent(_Closed):
     """The decision on one cloud.
 
     ``poses`` are (odometry input, transform input or 0), ascending by stamp; replay places the cloud with exactly
-    these. ``sequence`` is the map's after the event, one higher than before if ``accepted`` is at least 1.
+    these. ``sequence`` is the map's after the event, one higher than before if ``accepted`` is at least 1. ``cleared``
+    counts the marks of obstacles that the scan saw through and weakened.
     """
 
     kind: Literal["integration"] = "integration"
@@ -34,6 +35,7 @@ class IntegrationEvent(_Closed):
     accepted: Number
     rejected: dict[PointReason, Number]
     sequence: Number
+    cleared: Number = 0
 
 
 class CheckpointEvent(_Closed):
@@ -53,6 +55,15 @@ class ResetEvent(_Closed):
     sequence: Number
 
 
+class ForgetEvent(_Closed):
+    """Tiles were erased; ``sequence`` is the map's after it. Tiles ascend by (x, y)."""
+
+    kind: Literal["forget"] = "forget"
+    epoch: Number
+    sequence: Number
+    tiles: Annotated[list[tuple[int, int]], Field(min_length=1)]
+
+
 class SensorTimeEvent(_Closed):
     """How the times of a sensor's points are read, from this event on.
 
@@ -70,11 +81,11 @@ class SensorTimeEvent(_Closed):
     sequence: Number
 
 
-Event = IntegrationEvent | CheckpointEvent | ResetEvent | SensorTimeEvent
+Event = IntegrationEvent | CheckpointEvent | ResetEvent | ForgetEvent | SensorTimeEvent
 
 EVENT: Final[TypeAdapter[Event]] = TypeAdapter(Annotated[Event, Field(discriminator="kind")])
-KINDS: Final = ("integration", "checkpoint", "reset", "sensor_time")
-"""``forget``, ``edit`` and ``remap`` are reserved for later versions, and unknown to this one."""
+KINDS: Final = ("integration", "checkpoint", "reset", "forget", "sensor_time")
+"""``edit`` and ``remap`` are reserved for later versions, and unknown to this one."""
 
 
 def encode_event(event: Event) -> bytes:

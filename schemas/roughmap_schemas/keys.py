@@ -246,7 +246,7 @@ class Keys:
         return self._forms["updates"].make(z=z, x=x, y=y)
 
     def control(self, action: str) -> str:
-        """Return the key of an operator's action, ``snapshot`` or ``reset``."""
+        """Return the key of an operator's action: ``snapshot``, ``reset`` or ``forget``."""
         return self._forms["control"].make(action=action)
 
     def alive(self, instance: str) -> str:

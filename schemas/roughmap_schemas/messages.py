@@ -20,6 +20,7 @@ from pydantic import (
 
 from roughmap_schemas.contract import CONTRACT_VERSION
 from roughmap_schemas.faults import ContractError
+from roughmap_schemas.layers import Surface
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
 
 
@@ -135,10 +136,21 @@ class TileInfo(Reply):
     configuration_digest: str
     compression: Literal["zstd"] | None = None
     """Compression of the Grid's data."""
+    surface: Surface = "all"
+    """What the cells of the map describe: the ground, or all points together."""
+
+
+class Hits(Message):
+    """Points off the ground of a cell, in a bin of heights."""
+
+    height: Finite
+    """The bin's middle, metres in the map's frame."""
+    hits: Number
+    """At most 15; scans that see through the bin halve it."""
 
 
 class CellState(Message):
-    """A cell's record in the map."""
+    """A cell's record in the map; with ``surface`` "ground", of the ground alone."""
 
     count: Number
     updated: Number
@@ -150,6 +162,18 @@ class CellState(Message):
     min: Finite
     max: Finite
     inv_cf: Finite
+    variance: Finite = 0.0
+    """Variance of the mean height from errors that its points have in common: those of the poses."""
+    shared: Finite = 0.0
+    """Covariance of the mean height with the error of the present pose."""
+    pose_variance: Finite = 0.0
+    """Mean variance of the points' heights from the poses."""
+    mount_sigma: Finite = 0.0
+    """Mean standard deviation of the points' heights from the mounting of the sensor."""
+    supported: bool = False
+    """Whether the ground was confirmed after points off it came."""
+    off_ground: list[Hits] = []
+    """What was seen above and below the ground, ascending."""
 
 
 class CellEntry(Message):
@@ -192,10 +216,12 @@ class UpdateRecord(Message):
 
 
 class ControlAnswer(Reply):
-    """The answer to ``snapshot`` or ``reset``."""
+    """The answer to ``snapshot``, ``reset`` or ``forget``."""
 
     sequence: Number
     epoch: Number
+    tiles: Number = 0
+    """Tiles that ``forget`` erased."""
 
 
 class CloudCounts(Message):
@@ -268,6 +294,8 @@ class MapStatus(Reply):
     extent: tuple[Finite, Finite, Finite, Finite] | None
     """xmin, ymin, xmax, ymax of the known tiles in metres; null if there are none."""
     error_model: Literal["point", "cuboid", "ellipsoid"]
+    surface: Surface = "all"
+    """What the cells of the map describe: the ground, or all points together."""
     configuration_digest: str
     health: Literal["ok", "overloaded", "degraded"]
     sequence: Number
@@ -291,6 +319,8 @@ class MapStatus(Reply):
     rates: Rates
     memory_bytes: Number
     tiles: TileCounts
+    forgotten: Number = 0
+    """Level-0 tiles that were forgotten, by ``map.keep`` or by an operator."""
     log: LogState
     uptime_s: Finite
 
@@ -304,6 +334,7 @@ __all__ = [
     "ControlAnswer",
     "Finite",
     "Hex32",
+    "Hits",
     "Known",
     "Lag",
     "LogState",

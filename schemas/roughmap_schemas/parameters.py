@@ -159,13 +159,14 @@ def parse_coordinate(name: str) -> Callable[[str], float | None]:
 
 
 def parse_limits(text: str) -> Limits:
-    """Read ``limits``: ``name:number`` joined by ``,``."""
+    """Read ``limits``: ``name:number`` joined by ``,``. Which of the names a map has depends on its surface."""
     limits: dict[str, float] = {}
+    known = list(dict.fromkeys(name for names in LIMIT_NAMES.values() for name in names))
     for part in text.split(","):
         name, colon, digits = part.partition(":")
         value = decimal(digits)
-        if not colon or name not in LIMIT_NAMES or name in limits or value is None or value <= 0:
-            raise bad("limits", f"name:number above 0, each name once, of {', '.join(LIMIT_NAMES)}", part)
+        if not colon or name not in known or name in limits or value is None or value <= 0:
+            raise bad("limits", f"name:number above 0, each name once, of {', '.join(known)}", part)
         limits[name] = value
     return limits
 

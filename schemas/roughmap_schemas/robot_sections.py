@@ -6,7 +6,19 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from roughmap_schemas.sections import Section
-from roughmap_schemas.values import Box, Ceiling, Frame, NotNegative, Reach, Real, Rotation, SixSigmas, Three
+from roughmap_schemas.values import (
+    Box,
+    Ceiling,
+    Frame,
+    MaybeView,
+    NotNegative,
+    Positive,
+    Reach,
+    Real,
+    Rotation,
+    SixSigmas,
+    Three,
+)
 
 
 class SensorConfig(Section):
@@ -42,6 +54,9 @@ class SensorConfig(Section):
     """Added to the stamps of the sensor's clouds, to correct its clock."""
     exclude: list[Box] = Field(default=[])
     """Boxes xmin, ymin, zmin, xmax, ymax, zmax in the robot's frame whose points are rejected: the robot itself."""
+    fov: MaybeView = None
+    """Field of view from the sensor's x axis, in degrees: up, down, left, right. With it, a direction without a return
+    counts as free where those beside it have one. Default: unknown."""
 
     @model_validator(mode="after")
     def _ranges(self) -> "SensorConfig":
@@ -76,6 +91,8 @@ class RobotConfig(Section):
 
     pose_covariance: Policy = "message"
     """Covariance of the robot's poses: as in the message, at least or at most `input.pose_sigma`, or always that."""
+    pose_error_time: Positive = 5.0
+    """How long an error of the robot's poses lasts: poses further apart than some of these err independently."""
     sensors: Annotated[
         dict[Frame, SensorConfig], BeforeValidator(_as_it_is, json_schema_input_type=dict[Frame, SensorOverrides])
     ] = Field(default={})

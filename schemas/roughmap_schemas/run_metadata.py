@@ -29,7 +29,8 @@ class RunMetadata(Message):
     in the file, ``first_record`` that of its first input or event, both from 1 over the run. ``base_sequence`` and
     ``base_digest`` are the map's before the file's first event; the digest is "" if the file was begun because the one
     before it could no longer be written. ``rules`` is the version of the rules that decided on poses and clouds; their
-    events hold what was decided. ``configuration`` is without secrets.
+    events hold what was decided. ``state_version`` is that of the cells, whose digests are in the file.
+    ``configuration`` is without secrets.
     """
 
     run: Hex32
@@ -42,6 +43,7 @@ class RunMetadata(Message):
     base_digest: Hex32 | Literal[""]
     version: str
     rules: Annotated[int, Field(ge=1)] = 1
+    state_version: Annotated[int, Field(ge=1)] = 1
     configuration: dict[str, Any]
 
     def to_record(self) -> dict[str, str]:

@@ -3,11 +3,12 @@
 Units are seconds, metres, radians, m/s, rad/s and bytes. Six numbers are x y z roll pitch yaw.
 """
 
-from typing import Annotated, Final, Literal
+import math
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, SecretStr, model_validator
 
-from roughmap_schemas.layers import LAYERS, LIMIT_NAMES
+from roughmap_schemas.layers import DEFAULT_SURFACE, LAYERS, Surface, default_limits, fault_of_limit
 from roughmap_schemas.values import (
     NUMBER,
     AtLeastOne,
@@ -46,11 +47,13 @@ def _known_layers(value: list[str]) -> list[str]:
     return value
 
 
-def _known_limits(value: dict[str, float]) -> dict[str, float]:
-    for name in value:
-        if name not in LIMIT_NAMES:
-            raise ValueError(f"{name!r} must be one of {', '.join(LIMIT_NAMES)}")
-    return value
+class KeepConfig(Section):
+    """What the map keeps. The rest is forgotten, by whole tiles; by default nothing is."""
+
+    radius: Reach = math.inf
+    """Tiles whose centre is farther from the newest pose of every robot are forgotten."""
+    age: Reach = math.inf
+    """Tiles without a point for so long are forgotten, by the stamps of the points."""
 
 
 class MapConfig(Section):
@@ -60,6 +63,9 @@ class MapConfig(Section):
     """Name of the map, part of all its Zenoh keys."""
     frame_id: Frame = "map"
     """Frame of the map, into which all points are placed."""
+    surface: Surface = DEFAULT_SURFACE
+    """What a cell describes: the ground, with what stands on it and hangs over it apart ("ground"), or all its points
+    together ("all")."""
     cell_size: Measure = 0.1
     """Side of a cell, metres."""
     error_model: Literal["point", "cuboid", "ellipsoid"] = "cuboid"
@@ -80,6 +86,9 @@ class MapConfig(Section):
     """Full width of the height interval of `confidence_level`: the true mean is within half of it, metres."""
     bounds: MaybeBounds = None
     """xmin, ymin, xmax, ymax in metres: points outside are rejected. Default: none."""
+    clear_interval: NotNegative = 0.2
+    """Time between two scans of a sensor that clear what they see through, with `surface = "ground"`."""
+    keep: KeepConfig = KeepConfig()
     levels: Annotated[int, Field(ge=1, le=24), NUMBER] = 8
     """Number of levels. Each doubles the cell size of the one before."""
     memory_limit: Size = 2 << 30
@@ -92,14 +101,23 @@ class MapConfig(Section):
     """A cloud that needs more new tiles is rejected as `too_many_tiles`."""
     max_tiles: AtLeastOne = 4_000_000
     """Most tiles of the map. A cloud that needs more is rejected as `too_many_tiles`."""
-    limits: Annotated[dict[str, Positive], AfterValidator(_known_limits)] = {
-        "slope": 0.5,
-        "step": 0.2,
-        "std_dev": 0.1,
-        "confidence": 0.9,
-    }
-    """Limits of the layer `traversability`: radians, metres, metres, metres, and a probability for `confidence`. A
-    limit that is left out is not used."""
+    limits: dict[str, Positive] = default_limits(None)
+    """Limits of the layer `traversability`: slope in radians, a probability for confidence, the others in metres. The
+    default and the names depend on `surface`. A limit that is left out is not used."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _limits_of_the_surface(cls, values: Any) -> Any:
+        if not isinstance(values, dict) or "limits" in values:
+            return values
+        return {**values, "limits": default_limits(values.get("surface"))}
+
+    @model_validator(mode="after")
+    def _known_limits(self) -> "MapConfig":
+        for name, value in self.limits.items():
+            if (fault := fault_of_limit(name, value, self.surface)) is not None:
+                raise ValueError(f"map.limits: {fault}")
+        return self
 
     @model_validator(mode="after")
     def _footprint(self) -> "MapConfig":

@@ -224,12 +224,44 @@ class CellsQuery(LayersQuery):
         return format_parameters(parts), _PLACES.dump_json(list(self.points))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForgetQuery:
+    """The parameters of ``maps/{map}/control/forget``: which tiles are erased.
+
+    Those that meet ``bbox`` (xmin, ymin, xmax, ymax in metres), those without a point in the last ``older`` seconds,
+    or, with both, those that are both.
+    """
+
+    bbox: Bbox | None = None
+    older: float | None = None
+
+    @classmethod
+    def parse(cls, parameters: Mapping[str, str] | str) -> Self:
+        """Read them; raises ``QueryFault``."""
+        reader = ParameterReader(parameters, "bbox", "older")
+        asked = cls(
+            bbox=reader.take("bbox", parse_bbox, None), older=reader.take("older", parse_positive("older"), None)
+        )
+        if asked.bbox is None and asked.older is None:
+            raise QueryFault(
+                QueryCode.BAD_PARAMETER,
+                "forget: expected bbox=xmin,ymin,xmax,ymax, older=SECONDS or both; found none (a reset forgets all)",
+            )
+        return asked
+
+    def format(self) -> str:
+        """Write them."""
+        parts = {} if self.bbox is None else {"bbox": format_bbox(self.bbox)}
+        return format_parameters(parts if self.older is None else {**parts, "older": number(self.older)})
+
+
 __all__ = [
     "MAX_POINTS",
     "Bbox",
     "CellsQuery",
     "Compression",
     "Dtype",
+    "ForgetQuery",
     "GridsQuery",
     "LayersQuery",
     "Limits",

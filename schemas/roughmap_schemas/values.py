@@ -88,6 +88,14 @@ Ceiling = Annotated[
     float, Field(gt=-math.inf), BeforeValidator(_no_bool, json_schema_input_type=float | Literal["inf"])
 ]
 
+Up = Annotated[float, Field(ge=0, le=90), NUMBER]
+Aside = Annotated[float, Field(ge=0, le=180), NUMBER]
+MaybeView = Annotated[
+    tuple[Up, Up, Aside, Aside] | None,
+    BeforeValidator(_nothing, json_schema_input_type=tuple[Up, Up, Aside, Aside] | Literal[""] | None),
+]
+"""A field of view in degrees, up, down, left, right; "" for none."""
+
 AtLeastOne = Annotated[int, Field(ge=1), NUMBER]
 NotNegativeWhole = Annotated[int, Field(ge=0), NUMBER]
 Size = Annotated[int, Field(ge=1), BeforeValidator(parse_size, json_schema_input_type=int | str)]

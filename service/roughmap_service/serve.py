@@ -17,11 +17,11 @@ from roughmap_schemas import Config, Keys, configuration_digest
 from roughmap_schemas.config_load import LoadedConfig
 from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.messages import LogState
+from roughmap_service.answers.emptied_tiles import EmptiedHistory
 from roughmap_service.answers.events import EventPublisher
 from roughmap_service.answers.map_reader import MapReader
 from roughmap_service.answers.queryables import Answers
 from roughmap_service.answers.records import OutputRecords
-from roughmap_service.answers.reset_history import ResetHistory
 from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.answers.updates import Updates
 from roughmap_service.engine.control import Control
@@ -150,8 +150,9 @@ class Service:
         self._keys = Keys(config.map.name, config.keys)
         self._run_id = recovered.run_id or uuid.uuid4().hex
         self._served = ServedMap(
-            config.map.name, self._run_id, instance, configuration_digest(config), config.map.frame_id
-        )
+            config.map.name, self._run_id, instance, configuration_digest(config), config.map.frame_id,
+            config.map.surface,
+        )  # fmt: skip
         self._run = recovered.run
         self._run.epoch = recovered.epoch
         self._view = View(self._run.map, recovered.epoch)
@@ -230,16 +231,15 @@ class Service:
             self._store, self._view, writer, stored, keep=config.log.keep, spill=self._memory.spill
         )
         self._queue = InputQueue(config.input.queue_limit, self._counters)
-        self._resets = ResetHistory(config.map.max_tiles)
+        self._emptied = EmptiedHistory(config.map.max_tiles)
         events = stack.enter_context(EventPublisher(self._session, self._keys))
         recorder = Recorder(writer, self._keys)
         live = LiveRun(
-            self._run, self._view, writer, recorder, self._counters, self._memory, self._streams, events.publish
-        )
+            self._run, self._view, writer, recorder, self._counters, self._memory, self._streams, events.publish,
+            self._emptied.note,
+        )  # fmt: skip
         intervals = Intervals(config.log.checkpoint_interval, config.store.snapshot_interval)
-        self._sequencer = Sequencer(
-            live, self._queue, writer, self._memory, intervals, self._take_snapshot, self._resets.note
-        )
+        self._sequencer = Sequencer(live, self._queue, writer, self._memory, intervals, self._take_snapshot)
         self._sequencer.start()
         stack.callback(self._end_sequencer)
 
@@ -264,11 +264,12 @@ class Service:
         self._status = Status(view, self._counters, config, served, version("roughmap"), self._progress)
         control = Control(self._sequencer, self._snapshots, self._take_snapshot)
         records = OutputRecords(self._writer, keys, self._counters, queries=config.log.queries)
-        reader = MapReader(view, keys, config, served, self._resets)
+        reader = MapReader(view, keys, config, served, self._emptied)
         self._answers = stack.enter_context(
             Answers(
                 self._session, reader, config.query, status=self._status,
-                control={"snapshot": control.snapshot, "reset": control.reset}, record_query=records.query,
+                control={"snapshot": control.snapshot, "reset": control.reset}, forget=control.forget,
+                record_query=records.query,
             )
         )  # fmt: skip
         stack.enter_context(Updates(self._session, reader, config, records.update))

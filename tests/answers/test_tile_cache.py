@@ -10,10 +10,10 @@ from served import INSTANCE, RUN, T0, S, filled, some_points
 from roughmap_schemas import Config, Keys, decode_grid
 from roughmap_schemas.messages import TileInfo, model_bytes
 from roughmap_service.answers.drawn_tile import DrawnTile
+from roughmap_service.answers.emptied_tiles import EmptiedHistory
 from roughmap_service.answers.map_reader import MapReader
 from roughmap_service.answers.plan import Reply
 from roughmap_service.answers.region import plan_region
-from roughmap_service.answers.reset_history import ResetHistory
 from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.answers.tile_cache import ENTRY_BYTES, TileCache
 from roughmap_service.answers.tiles import TileQueries
@@ -104,8 +104,8 @@ def test_answers_follow_the_map() -> None:
     config = Config.model_validate({"map": {"name": "site"}})
     keeps_none = config.model_copy(update={"query": config.query.model_copy(update={"cache_limit": 1})})
     with filled(config) as rough_map:
-        view, keys, resets = View(rough_map, 5), Keys("site", config.keys), ResetHistory(1000)
-        served = ServedMap("site", RUN, INSTANCE, "0" * 32, "map")
+        view, keys, resets = View(rough_map, 5), Keys("site", config.keys), EmptiedHistory(1000)
+        served = ServedMap("site", RUN, INSTANCE, "0" * 32, "map", "all")
         kept, plain = (MapReader(view, keys, one, served, resets) for one in (config, keeps_none))
         for change in ("none", "points", "far", "reset", "points"):
             if change == "points":
@@ -113,7 +113,7 @@ def test_answers_follow_the_map() -> None:
             elif change == "far":
                 rough_map.add(some_points(300, 9, (200.0, 0.0)), S, T0 + 40 * 10**9)
             elif change == "reset":
-                resets.note(rough_map)
+                resets.note(rough_map.tile_sequences()[0], rough_map.sequence + 1)
                 rough_map.reset()
                 view.epoch += 1
             for what, layers, form in product(

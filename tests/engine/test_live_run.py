@@ -39,7 +39,7 @@ def test_an_event_is_on_its_way_to_the_log_before_anyone_can_see_what_it_did(tmp
         held = Spied(lambda: told.append(("log", run.view._lock.locked())))
         live = LiveRun(
             run.run, run.view, run.writer, held, Counters(), enough, run.streams,
-            lambda _: told.append(("publish", run.view._lock.locked())),
+            lambda _: told.append(("publish", run.view._lock.locked())), run.emptied.note,
         )  # fmt: skip
         assert live.decide(0.0)
     assert told == [("log", True), ("publish", False)]
@@ -80,7 +80,9 @@ def test_no_wait_ends_before_all_that_came_in_it_is_taken_up(tmp_path: Path) -> 
             if isinstance(event, IntegrationEvent):
                 decided(event)
 
-        live = LiveRun(run.run, run.view, run.writer, run.recorder, counters, enough, run.streams, hear)
+        live = LiveRun(
+            run.run, run.view, run.writer, run.recorder, counters, enough, run.streams, hear, run.emptied.note
+        )
         sequencer = sequencer_of(live, intake, run.writer, enough)
         arrival = time.monotonic()
         messages = [(Kind.POINTS, cloud(1.0005 + TURN_MESSAGES * 1e-3))]

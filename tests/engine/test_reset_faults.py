@@ -12,6 +12,7 @@ from sequencers import ample_memory, sequencer_of
 from service_tools import LoggedRun, cloud, config, events_of, read_back
 
 from roughmap import RoughMap
+from roughmap.arrays import I4
 from roughmap_client import QueryRefused
 from roughmap_client.session import ask
 from roughmap_schemas import MessageFault, Receipt, ResetEvent
@@ -28,16 +29,14 @@ from roughmap_service.inputs.subscriptions import ZenohInputs
 class ResettableRun:
     """A sequencer between real requests and a log on a disk that may fail; its map holds one scan."""
 
-    def __init__(
-        self, directory: Path, stack: ExitStack, before_reset: Callable[[RoughMap], None] = lambda _: None
-    ) -> None:
+    def __init__(self, directory: Path, stack: ExitStack, emptied: Callable[[I4, int], None] = lambda *_: None) -> None:
         self.disk = FailingDisk()
         server, self.client = stack.enter_context(open_pair())
-        self.run = stack.enter_context(LoggedRun(directory, open_file=self.disk.open))
+        self.run = stack.enter_context(LoggedRun(directory, open_file=self.disk.open, emptied=emptied))
         self.run.scan(0.0)
         counters, intake = Counters(), InputQueue(1 << 20, Counters())
         memory = stack.enter_context(ample_memory(directory))
-        self.sequencer = sequencer_of(self.run.live, intake, self.run.writer, memory, before_reset=before_reset)
+        self.sequencer = sequencer_of(self.run.live, intake, self.run.writer, memory)
         replies = stack.enter_context(ReceiptSender())
         stack.enter_context(ZenohInputs(server, self.run.keys, intake, replies, 1 << 20, counters, self.run.streams))
         stack.callback(lambda: self.sequencer.stop(WAIT_S))
@@ -89,7 +88,7 @@ def test_a_reset_that_meets_a_full_disk_holds_up_no_refusal_and_comes_when_there
 
 def test_a_logged_reset_that_can_not_be_done_ends_the_sequencer_and_the_next_start_does_it(tmp_path: Path) -> None:
 
-    def no_memory(_map: RoughMap) -> None:
+    def no_memory(_tiles: I4, _sequence: int) -> None:
         raise MemoryError
 
     with ExitStack() as stack:

@@ -21,8 +21,8 @@ from spill_tools import leave
 from roughmap.tiles.slots import SLOT_BYTES
 from roughmap_schemas import IntegrationEvent, decode_event
 from roughmap_schemas.kinds import Kind
+from roughmap_service.answers.emptied_tiles import EmptiedHistory
 from roughmap_service.answers.map_reader import MapReader
-from roughmap_service.answers.reset_history import ResetHistory
 from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.answers.tiles import TileQueries
 from roughmap_service.engine.live_run import LiveRun
@@ -82,12 +82,22 @@ class ReadRun:
         self.decided: Gathered[IntegrationEvent] = Gathered()
         self.digests = {x: d.tobytes().hex() for x, d in zip(*self.map.tile_digests()[::2], strict=True)}
         self._intake, counters = InputQueue(1 << 20, Counters()), Counters()
-        served = ServedMap("site", run.run_id, "0" * 32, "0" * 32, "map")
-        self._queries = TileQueries(MapReader(run.view, run.keys, run.config, served, ResetHistory(1000)))
+        served = ServedMap("site", run.run_id, "0" * 32, "0" * 32, "map", "all")
+        self._queries = TileQueries(MapReader(run.view, run.keys, run.config, served, EmptiedHistory(1000)))
         self.status = Status(run.view, counters, run.config, served, "1", RunProgress)
         self._taken = 0
         self._memory = MemoryLimit(1 << 20, spill, measure=lambda: self._taken)
-        live = LiveRun(run.run, run.view, run.writer, run.recorder, counters, self._memory, run.streams, self._hear)
+        live = LiveRun(
+            run.run,
+            run.view,
+            run.writer,
+            run.recorder,
+            counters,
+            self._memory,
+            run.streams,
+            self._hear,
+            run.emptied.note,
+        )
         self._sequencer = sequencer_of(live, self._intake, run.writer, self._memory)
         self._pool = stack.enter_context(ThreadPoolExecutor(4))
         stack.callback(lambda: self._sequencer.stop(WAIT_S))

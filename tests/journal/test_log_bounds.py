@@ -67,7 +67,17 @@ def test_what_comes_in_waits_for_the_disk_and_takes_no_memory(tmp_path: Path, mo
         monkeypatch.setattr(writer, "wait_room", waiting)
         monkeypatch.setattr(writer, "put", putting)
         intake, counters = InputQueue(1 << 20, Counters()), Counters()
-        live = LiveRun(run.run, run.view, writer, Recorder(writer, run.keys), counters, enough, run.streams, decided)
+        live = LiveRun(
+            run.run,
+            run.view,
+            writer,
+            Recorder(writer, run.keys),
+            counters,
+            enough,
+            run.streams,
+            decided,
+            run.emptied.note,
+        )
         sequencer = sequencer_of(live, intake, writer, enough)
         for number in range(CLOUDS):
             payload = cloud(number, frame="map", points=np.ones((36, 3)))

@@ -10,10 +10,10 @@ from served import INSTANCE, RUN, T0, S, filled, some_points
 
 from roughmap_schemas import Config, Keys
 from roughmap_schemas.messages import TileInfo, parse_model
+from roughmap_service.answers.emptied_tiles import EmptiedHistory
 from roughmap_service.answers.map_reader import MapReader
 from roughmap_service.answers.plan import Plan, Reply
 from roughmap_service.answers.region import plan_region
-from roughmap_service.answers.reset_history import ResetHistory
 from roughmap_service.answers.served_map import ServedMap
 from roughmap_service.answers.tiles import TileQueries
 from roughmap_service.run.view import View
@@ -33,8 +33,8 @@ class Asked:
     """Queries on a map, answered without a network; tiles that one has drawn are kept for the next."""
 
     def __init__(self, view: View) -> None:
-        served = ServedMap("site", RUN, INSTANCE, "0" * 32, "map")
-        self._reader = MapReader(view, Keys("site", CONFIG.keys), CONFIG, served, ResetHistory(1000))
+        served = ServedMap("site", RUN, INSTANCE, "0" * 32, "map", "all")
+        self._reader = MapReader(view, Keys("site", CONFIG.keys), CONFIG, served, EmptiedHistory(1000))
         self._tiles = TileQueries(self._reader)
 
     def tiles(self, key: str, parameters: str) -> list[Reply]:

@@ -44,7 +44,7 @@ def _cells(asked: CellsQuery, cell_size: float) -> Cells:
 def _read(reader: MapReader, asked: CellsQuery, cells: Cells) -> Iterator[Answer]:
     """Read the tiles of the cells, and answer with one reply."""
     tolerance = reader.tolerance if asked.tolerance is None else asked.tolerance
-    limits = reader.limits if asked.limits is None else asked.limits
+    limits = reader.limits_of(asked)
     tiles = cells >> TILE_SHIFT
     low, high = (tiles.min(axis=0), tiles.max(axis=0)) if len(tiles) else (np.zeros(2, int), np.zeros(2, int))
     box = int(low[0]), int(low[1]), int(high[0]), int(high[1])

@@ -104,6 +104,7 @@ class Drawing:
             digest=frozen.digest(x, y),
             configuration_digest=self.served.configuration_digest,
             compression=form.compression,
+            surface=self.served.surface,
         )
         return DrawnTile(info, form.layers, values, known, frozen.cell_size, self.served.frame_id)
 

@@ -1,14 +1,20 @@
-"""Queries that read no tiles: the status, and the control actions ``snapshot`` and ``reset``."""
+"""Queries that read no tiles: the status, and the control actions ``snapshot``, ``reset`` and ``forget``."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
+from roughmap.tiles.index import TileBox
 from roughmap_schemas.encodings import json_encoding
 from roughmap_schemas.faults import QueryFault
 from roughmap_schemas.messages import ControlAnswer, MapStatus, model_bytes
 from roughmap_schemas.reasons import QueryCode
-from roughmap_schemas.selectors import parse_parameters
+from roughmap_schemas.selectors import ForgetQuery, parse_parameters
 from roughmap_service.answers.plan import Answer, Plan, Reply
+from roughmap_service.answers.tile_selection import selected_box
+
+Forget = Callable[[TileBox | None, float | None, str], tuple[int, int, int]]
+"""Erases the tiles in a box (None: anywhere) without a point for that many seconds (None: any age); the text says why.
+Returns (sequence, epoch) after that, and the number of tiles."""
 
 STATUS_ENCODING = json_encoding("MapStatus")
 CONTROL_ENCODING = json_encoding("ControlAnswer")
@@ -31,13 +37,33 @@ def plan_control(act: Callable[[], tuple[int, int]], key: str, asked_key: str, p
     ``asked_key`` must be ``key`` itself: a query with ``**`` must never reset the map.
     """
     _expect_no_parameters(parameters)
+
+    def carry_out() -> ControlAnswer:
+        sequence, epoch = act()
+        return ControlAnswer(sequence=sequence, epoch=epoch)
+
+    return _plan_action(carry_out, key, asked_key)
+
+
+def plan_forget(forget: Forget, cell_size: float, key: str, asked_key: str, parameters: str) -> Plan:
+    """Return the plan of a query that erases tiles; ``asked_key`` as for `plan_control`."""
+    asked = ForgetQuery.parse(parameters)
+
+    def carry_out() -> ControlAnswer:
+        box = selected_box(None, None, asked.bbox, cell_size)
+        sequence, epoch, tiles = forget(box, asked.older, f"an operator's request ({asked.format()})")
+        return ControlAnswer(sequence=sequence, epoch=epoch, tiles=tiles)
+
+    return _plan_action(carry_out, key, asked_key)
+
+
+def _plan_action(carry_out: Callable[[], ControlAnswer], key: str, asked_key: str) -> Plan:
     if asked_key != key:
         raise QueryFault(QueryCode.BAD_KEY, f"expected {key} without wildcards; found {asked_key[:200]!r}")
 
     def read() -> AbstractContextManager[Answer]:
-        sequence, epoch = act()
-        payload = model_bytes(ControlAnswer(sequence=sequence, epoch=epoch))
-        return nullcontext(Answer(sequence, [Reply(key, payload, CONTROL_ENCODING)]))
+        answer = carry_out()
+        return nullcontext(Answer(answer.sequence, [Reply(key, model_bytes(answer), CONTROL_ENCODING)]))
 
     return Plan(0, read)
 

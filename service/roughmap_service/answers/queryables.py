@@ -14,7 +14,7 @@ from roughmap_schemas.messages import MapStatus, QueryRecord
 from roughmap_schemas.sections import QueryConfig
 from roughmap_service.answers.cells import plan_cells
 from roughmap_service.answers.map_reader import MapReader
-from roughmap_service.answers.operations import plan_control, plan_status
+from roughmap_service.answers.operations import Forget, plan_control, plan_forget, plan_status
 from roughmap_service.answers.plan import Plan
 from roughmap_service.answers.question import Question
 from roughmap_service.answers.queue import AnswerQueue
@@ -45,8 +45,8 @@ class Answers:
     one state of the map. A reader that stalls blocks others on the same link, for 5 s at most.
 
     ``status`` returns the status message. ``control`` maps actions (``snapshot``, ``reset``) to functions that carry
-    them out and return (sequence, epoch); they run in a thread of their own. ``record_query`` takes the record of every
-    tile, region and cells query.
+    them out and return (sequence, epoch), ``forget`` erases tiles; they run in a thread of their own. ``record_query``
+    takes the record of every tile, region and cells query.
     """
 
     def __init__(
@@ -57,12 +57,14 @@ class Answers:
         *,
         status: Callable[[], MapStatus],
         control: Mapping[str, Callable[[], tuple[int, int]]],
+        forget: Forget,
         record_query: Callable[[QueryRecord], None],
     ) -> None:
         self._session = session
         self._reader = reader
         self._status = status
         self._control = control
+        self._forget = forget
         self._record_query = record_query
         self._queue = AnswerQueue("answers", limits.workers, limits.queue_limit, limits.max_running_cells)
         self._control_queue = AnswerQueue("control", 1, CONTROL_PLACES, 1)
@@ -111,6 +113,13 @@ class Answers:
         )
         for action, act in self._control.items():
             yield self._control_queryable(keys.control(action), act)
+        key = keys.control("forget")
+        yield _Queryable(
+            key,
+            lambda asked: plan_forget(self._forget, reader.cell_size, key, asked.key, asked.parameters),
+            self._control_queue,
+            _no_record,
+        )
 
     def _control_queryable(self, key: str, act: Callable[[], tuple[int, int]]) -> _Queryable:
         return _Queryable(

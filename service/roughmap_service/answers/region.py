@@ -120,6 +120,7 @@ def _mosaic(drawing: Drawing, cells: CellBox, compression: Compression, key: str
         digest=None,
         configuration_digest=served.configuration_digest,
         compression=compression,
+        surface=served.surface,
     )
     payload = encode_packed(
         form.layers,

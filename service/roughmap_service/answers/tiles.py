@@ -9,7 +9,7 @@ from roughmap_schemas.encodings import GRID
 from roughmap_schemas.faults import QueryFault
 from roughmap_schemas.reasons import QueryCode
 from roughmap_schemas.selectors import TileQuery
-from roughmap_service.answers.drawing import Drawing, NotDrawnYet
+from roughmap_service.answers.drawing import Drawing
 from roughmap_service.answers.map_reader import LevelBox, MapReader, MapState
 from roughmap_service.answers.plan import TILE_AREA, Plan, Reply
 from roughmap_service.answers.tile_selection import SelectedKeys, selected_box, selected_keys, within
@@ -84,8 +84,8 @@ class TileQueries:
     def _choose(self, asked: TileQuery, boxes: Sequence[LevelBox], state: MapState[Any]) -> list[_Chosen]:
         """Return the tiles in the boxes that changed after ``since``.
 
-        If ``since`` is from another epoch, all tiles are new, and those that a reset emptied are replied to as well:
-        all unknown, with known_cells 0.
+        If ``since`` is from another epoch, all tiles are new. Those that were emptied since are replied to as well: all
+        unknown, with known_cells 0.
         """
         form, since = self._reader.form(asked), asked.since
         same_epoch = asked.epoch == state.epoch
@@ -100,9 +100,8 @@ class TileQueries:
                 tiles, sequences = tiles[newer], sequences[newer]
             pairs = zip(tiles.tolist(), sequences.tolist(), strict=True)
             chosen.extend(_Chosen(drawing, x, y, sequence) for (x, y), sequence in pairs)
-            if since is not None and not same_epoch:
-                if state.emptied is None:
-                    raise NotDrawnYet
-                emptied = within(state.emptied.tiles(level, listed.tiles), box)
-                chosen.extend(_Chosen(drawing, x, y, state.emptied.sequence) for x, y in emptied.tolist())
+            if since is not None:
+                gone = within(state.emptied.tiles(level, listed.tiles, since if same_epoch else -1), box)
+                sequence = min(state.emptied.sequence, state.sequence)
+                chosen.extend(_Chosen(drawing, x, y, sequence) for x, y in gone.tolist())
         return chosen

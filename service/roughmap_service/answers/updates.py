@@ -48,7 +48,7 @@ class Updates:
 
     Each round publishes all tiles whose sequence rose since the last round. Rounds start at most ``update_hz`` times a
     second, so no tile is published more often, and the last change is always published. Nothing is drawn for a
-    level without subscribers. After a reset, the tiles that it emptied are published once, with known_cells 0.
+    level without subscribers. Tiles that were emptied are published once, with known_cells 0.
     """
 
     def __init__(
@@ -179,14 +179,14 @@ class Updates:
                     held.callback(self._view.let_go, frozen)
                     return frozen
 
-                epoch, sequence, emptied = self._view.epoch, rough_map.sequence, self._reader.resets.now
+                epoch, sequence, emptied = self._view.epoch, rough_map.sequence, self._reader.emptied.now
                 was_reset = epoch != last_epoch
                 tiles, sequences = rough_map.changed_tiles(level, -1 if was_reset else last_sequence)
                 parts = [(hold(box), tiles[rows], sequences[rows]) for box, rows in _blocks(tiles)]
-                blank = hold((0, 0, 0, 0)) if was_reset else None  # draws tiles that the map does not have
-            if blank is not None:  # subscribers may hold tiles from before the reset
-                gone = emptied.tiles(level, tiles, last_sequence)
-                parts.append((blank, gone, np.full(len(gone), sequence)))
+                gone = emptied.tiles(level, tiles, last_sequence)  # subscribers may hold them
+                if len(gone):
+                    blank = hold((0, 0, 0, 0))  # draws tiles that the map does not have
+                    parts.append((blank, gone, np.full(len(gone), sequence)))
             for frozen, some, theirs in parts:
                 drawing = self._reader.drawing(frozen, epoch, self._form)
                 for (x, y), tile_sequence in zip(some.tolist(), theirs.tolist(), strict=True):

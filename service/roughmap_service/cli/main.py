@@ -1,7 +1,7 @@
 """The `roughmap` command: finds the subcommand, and turns errors into one line and an exit code.
 
 Only the named subcommand is imported, so that `roughmap --help` loads none of numba, zenoh and matplotlib. Exit codes:
-0 success; 1 failure; 2 bad usage, setting or input; 130 interrupted.
+0 success; 1 failure; 2 bad usage, setting or input; 3 a replay that can't be compared; 130 interrupted.
 """
 
 import importlib

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from roughmap_service.run.run import Run
 
 
+OTHER_STATE_VERSION = 3
+"""Exit code for a log whose digests can't be compared."""
+
+
 @click.command()
 @click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True), metavar="LOG...")
 @click.option("--from", "from_store", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="MAP.DB",
@@ -42,7 +46,8 @@ def replay(
 
     Integrate the logs of a run again (files or folders) and compare every event and checkpoint with the logged one.
     The last line is `equal: ...` (exit code 0) or `differs at sequence ...` (exit code 1). The exit code is 2 if the
-    logs are not one complete run.
+    logs are not one complete run, and 3 if they are of another state version: their digests can't be compared, and
+    the last line is `not comparable: ...`.
 
     With --what-if the run is integrated a second time with other settings, and the two maps are compared.
     """
@@ -68,7 +73,8 @@ def replay(
     change(config_of(found[0]))  # so that a wrong setting ends the command before the work
     with _progress("replay", total) as watch:
         done = run(logs, from_store=from_store, watch=watch)
-    result: dict[str, Any] = {"verdict": done.verdict, "equal": done.difference is None, "events": done.events}
+    equal = done.difference is None if done.comparable else None
+    result: dict[str, Any] = {"verdict": done.verdict, "equal": equal, "events": done.events}
     if done.difference is None:
         shown = done.run
         if changes:
@@ -81,7 +87,7 @@ def replay(
     elif changes or out is not None or log_out is not None:
         click.echo("the replay stopped at the first difference; the other options were not carried out", err=True)
     click.echo(json.dumps(result) if as_json else done.verdict)
-    return 0 if done.difference is None else 1
+    return 1 if done.difference is not None else 0 if done.comparable else OTHER_STATE_VERSION
 
 
 def _what_if(
@@ -112,6 +118,8 @@ def _changed(config: "Config", changes: tuple[tuple[str, object], ...]) -> "Conf
     from roughmap_schemas import Config
 
     values = config.public_dict()
+    if "map.surface" in dict(changes):  # the limits of the other surface have other names
+        values["map"].pop("limits")
     for key, value in changes:
         place: Any = values
         *sections, name = key.split(".")

@@ -1,10 +1,16 @@
-"""Operators' requests: snapshot and reset."""
+"""Operators' requests: snapshot, reset and forget."""
 
 import time
 from collections.abc import Callable
 
+import numpy as np
+
+from roughmap import RoughMap
+from roughmap.arrays import I4
+from roughmap.tiles.index import TileBox
 from roughmap_schemas import QueryCode, QueryFault
 from roughmap_service.engine.sequencer import Sequencer
+from roughmap_service.run.settings import NS
 from roughmap_service.store.snapshots import Snapshots
 
 TIMEOUT_SECONDS = 30.0
@@ -38,4 +44,24 @@ class Control:
         """Empty the map. Return the new (sequence, epoch)."""
         done: list[tuple[int, int]] = []
         self._sequencer.call(lambda: done.append(self._sequencer.reset()), TIMEOUT_SECONDS)
+        return done[0]
+
+    def forget(self, box: TileBox | None, older: float | None, why: str) -> tuple[int, int, int]:
+        """Erase the tiles in a box (None: anywhere) without a point in the last ``older`` s (None: whatever their age).
+
+        Return (sequence, epoch) after that, and the number of tiles. ``why`` is for the log line.
+        """
+        newest_stamp_ns = self._sequencer.live.run.newest_stamp_ns
+
+        def choose(rough_map: RoughMap) -> I4:
+            tiles, newest_ns = rough_map.tile_stamps()
+            chosen = np.ones(len(tiles), np.bool_)
+            if older is not None:
+                chosen &= newest_ns < newest_stamp_ns - older * NS
+            if box is not None:
+                chosen &= ((tiles >= box[:2]) & (tiles <= box[2:])).all(axis=1)
+            return tiles[chosen]
+
+        done: list[tuple[int, int, int]] = []
+        self._sequencer.call(lambda: done.append(self._sequencer.forget(choose, why)), TIMEOUT_SECONDS)
         return done[0]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
-from roughmap import RoughMap
+from roughmap.arrays import I4
 from roughmap_schemas import (
     Cloud,
     CloudReason,
@@ -23,6 +23,7 @@ from roughmap_schemas import (
 from roughmap_service.engine.figures import LostCloud
 from roughmap_service.engine.notices import Notices
 from roughmap_service.host.counters import Counters
+from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.admission import admit, refuse
 from roughmap_service.inputs.queue import InputMessage
 from roughmap_service.inputs.streams import Streams
@@ -30,6 +31,7 @@ from roughmap_service.journal.items import Sync
 from roughmap_service.journal.recorder import Recorder
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.run.inbox import Arrival, LoggedCloud, Proposal
+from roughmap_service.run.keeping import Keeping, not_kept, pieces
 from roughmap_service.run.odometry_clock import Verdict
 from roughmap_service.run.run import NoTimes, Run
 from roughmap_service.run.view import View
@@ -39,7 +41,10 @@ logger = logging.getLogger(__name__)
 
 
 class LiveRun:
-    """Connects a `Run` to the log, to readers and to the counters; for the sequencer's thread alone."""
+    """Connects a `Run` to the log, to readers and to the counters; for the sequencer's thread alone.
+
+    ``emptied`` is told which (T, 2) tiles were erased, and at which sequence, with the map held.
+    """
 
     def __init__(
         self,
@@ -51,6 +56,7 @@ class LiveRun:
         memory: MemoryLimit,
         streams: Streams,
         publish_event: Callable[[bytes], None],
+        emptied: Callable[[I4, int], None],
     ) -> None:
         self.run = run
         self.view = view
@@ -60,6 +66,8 @@ class LiveRun:
         self._memory = memory
         self._streams = streams
         self._publish_event = publish_event
+        self._emptied = emptied
+        self._keeping = Keeping()
         self._robots = set(run.robots)
         self._notices = Notices(counters, streams, run.robots, self._robots)
         self._checkpoint_sequence = 0
@@ -126,7 +134,30 @@ class LiveRun:
         event, payload = self._integrate(proposal)
         self._tell(proposal.cloud, event, now, time.monotonic() - begun)
         self._publish_event(payload)
+        if self._keeping.due(self.run.settings, self.run.newest_stamp_ns):
+            self._forget_by_keep()
         return event
+
+    def forget(self, tiles: I4, why: str) -> None:
+        """Erase (T, 2) level-0 tiles of the map, ascending, log it and say so."""
+        for some in pieces(tiles):
+            with self.view.change():
+                event = self.run.forget(some)
+                self._emptied(some, event.sequence)
+                payload = self._log(event)
+            self._publish_event(payload)
+        if len(tiles):
+            self._counters.forgotten(len(tiles))
+            text = f"forgot {len(tiles)} {'tile' if len(tiles) == 1 else 'tiles'} of the map: {why}"
+            note(logger, logging.INFO, "tiles_forgotten", text, tiles=len(tiles))
+
+    def _forget_by_keep(self) -> None:
+        run, keep = self.run, self.run.settings.config.map.keep
+        with self.view.reading() as rough_map:
+            tiles = not_kept(rough_map, run.robots.values(), run.settings, run.newest_stamp_ns)
+        limits = [f"farther than {keep.radius:g} m from all robots"] if math.isfinite(keep.radius) else []
+        limits += [f"without a point for {keep.age:g} s"] if math.isfinite(keep.age) else []
+        self.forget(tiles, f"{' or '.join(limits)} (map.keep)")
 
     def checkpoint(self, *, last: bool = False) -> None:
         """Log the map's digest if the map changed since the last checkpoint.
@@ -146,10 +177,10 @@ class LiveRun:
         self._log(event)
         return event
 
-    def empty(self, event: ResetEvent, before: Callable[[RoughMap], None], *, publish: bool) -> None:
-        """Carry out a logged reset; ``before`` is called with the map as it was."""
+    def empty(self, event: ResetEvent, *, publish: bool) -> None:
+        """Carry out a logged reset."""
         with self.view.change() as rough_map:
-            before(rough_map)
+            self._emptied(rough_map.tile_sequences()[0], event.sequence)
             self.run.reset()
             self.view.epoch = self.run.epoch
         if publish:

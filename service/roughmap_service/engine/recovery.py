@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from roughmap_schemas import Config, ResetEvent
+from roughmap import STATE_VERSION
+from roughmap_schemas import Config, ForgetEvent, ResetEvent
+from roughmap_schemas.faults import ReportedError
 from roughmap_service.engine.newest_run import check_identity, goes_on, newest_run
 from roughmap_service.journal.file import FILE_NAME
 from roughmap_service.journal.reader import DamagedLog, LogError, last_log_time, read_metadata
@@ -27,6 +29,12 @@ from roughmap_service.store.stored_tiles import StoredTiles, set_index
 logger = logging.getLogger(__name__)
 
 
+class OtherState(ReportedError):
+    """The log is of another state version; one line that says how to make a map from it."""
+
+    exit_code = 2
+
+
 class Stopped(Exception):
     """The service was asked to stop while it recovered the map."""
 
@@ -41,7 +49,7 @@ class Recovered:
         index: of the run's next log file.
         epoch: the epoch of this start.
         cut: the store's, if there is one.
-        was_reset: whether the map was emptied since that cut.
+        was_reset: whether the map or tiles of it were emptied since that cut.
         not_before_ns: the next log file's ``created_ns`` must be at least this, so that this run is the newest in its
             folder even if the clock was set back.
         last_ns: log time of the run's last message.
@@ -73,8 +81,8 @@ def recover(
 
     With ``memory`` the store's tiles stay there until they are needed, and tiles leave memory at its limit. A damaged
     log ends before the damage. A damaged store is rebuilt if the log reaches back to the run's beginning. Damaged files
-    are logged and set aside. Raises LogError, StoreError, RunError or IdentityError, each one line, if the map can't be
-    recovered; Stopped once ``stop`` is set.
+    are logged and set aside. Raises LogError, StoreError, RunError, OtherState or IdentityError, each one line, if the
+    map can't be recovered; Stopped once ``stop`` is set.
     """
     ended: set[Path] = set()
     while True:
@@ -115,6 +123,8 @@ def _recover(config: Config, directory: Path, store: Store | None, watch: "_Watc
             logger.warning("%s; the map is rebuilt from the log", error)
             outdated = True
     files = newest_run(directory, cut)
+    if files and files[-1].metadata.state_version != STATE_VERSION:
+        raise OtherState(_other_state(config, files[-1], store if outdated else None))
     if files:
         check_identity(config, files[-1].metadata.configuration, files[-1].path)
     elif outdated:
@@ -128,6 +138,18 @@ def _recover(config: Config, directory: Path, store: Store | None, watch: "_Watc
     if outdated and store is not None:
         store.set_aside("outdated")
     return result
+
+
+def _other_state(config: Config, file: RunFile, store: Store | None) -> str:
+    """Return what to do with a log of another state version, and with its ``store``."""
+    folder, found = file.path.parent, file.metadata.state_version
+    what = f"{folder} and {store.path} are" if store is not None else f"{folder} is"
+    there = "" if config.map.surface == "all" else f" --what-if map.surface={config.map.surface}"
+    return (
+        f"{what} of state version {found} ({file.path.name}), and this release goes on from version {STATE_VERSION} "
+        f"only: `roughmap replay {folder} -o map-{STATE_VERSION}.db{there}` builds a map from that log; serve it as "
+        "store.path, with another log.directory, or begin a new map with --fresh"
+    )
 
 
 def _where_the_store_is_ahead(
@@ -275,5 +297,5 @@ def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: 
                 if not warned:  # equal maps are promised within a release only
                     logger.warning("the log is of another version, and the map comes out different: %s", text)
                 warned = True
-            result.was_reset = result.was_reset or isinstance(item.event, ResetEvent)
+            result.was_reset = result.was_reset or isinstance(item.event, ResetEvent | ForgetEvent)
     return end

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from roughmap import RoughMap
+from roughmap.arrays import I4
 from roughmap_schemas import ResetEvent
 from roughmap_service.engine.live_run import LiveRun, log_fault
 from roughmap_service.host.ending import ShuttingDown
@@ -60,7 +61,6 @@ class Sequencer:
         memory: MemoryLimit,
         intervals: Intervals,
         take_snapshot: Callable[[], None],
-        before_reset: Callable[[RoughMap], None],
     ) -> None:
         self.live = live
         self._queue = queue
@@ -68,7 +68,6 @@ class Sequencer:
         self._memory = memory
         self._intervals = intervals
         self._take_snapshot = take_snapshot
-        self._before_reset = before_reset
         self._heard = time.monotonic()  # all messages that arrived before it are applied
         self._decided = True  # in the last turn
         self._next_look = 0.0
@@ -139,6 +138,16 @@ class Sequencer:
             raise ShuttingDown("the service is stopping; the next start carries out the reset if it reached the disk")
         return event.sequence, event.epoch
 
+    def forget(self, choose: Callable[[RoughMap], I4], why: str) -> tuple[int, int, int]:
+        """Erase the tiles that ``choose`` returns. Return (sequence, epoch, number of tiles). Run it by `call`."""
+        if not self._writer.wait_room(IDLE_SECONDS):
+            raise log_fault(self._writer.error)
+        live = self.live
+        with live.view.reading() as rough_map:
+            tiles = choose(rough_map)
+        live.forget(tiles, why)
+        return live.run.map.sequence, live.run.epoch, len(tiles)
+
     def _empty(self, event: ResetEvent) -> bool:
         """Carry out a logged reset once it is on disk. Return False if the service stops before that."""
         synced = threading.Event()
@@ -149,7 +158,7 @@ class Sequencer:
             if not self._writer.ok:
                 self._refuse_messages()
         durable = synced.is_set()
-        self.live.empty(event, self._before_reset, publish=durable)
+        self.live.empty(event, publish=durable)
         return durable
 
     def _run(self) -> None:

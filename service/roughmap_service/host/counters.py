@@ -76,6 +76,7 @@ class Counts:
     refused: Counter[str] = field(default_factory=Counter)
     gaps: Counter[str] = field(default_factory=Counter)
     jumps: Counter[str] = field(default_factory=Counter)
+    tiles_forgotten: int = 0
     outputs_dropped: Counter[str] = field(default_factory=Counter)
     lag: Durations = field(default_factory=Durations)
     integration: Durations = field(default_factory=Durations)
@@ -157,6 +158,11 @@ class Counters:
         """Count a jump of a robot's transform."""
         with self._lock:
             self._counts.jumps[_bounded(robot, self._counts.jumps)] += 1
+
+    def forgotten(self, tiles: int) -> None:
+        """Count tiles that the map forgot."""
+        with self._lock:
+            self._counts.tiles_forgotten += tiles
 
     def output_dropped(self, kind: str) -> None:
         """Count a record of ``kind`` ("queries" or "updates") that found no room in the log's queue."""

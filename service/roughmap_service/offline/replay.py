@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from dataclasses import replace as with_values
 from pathlib import Path
 
+from roughmap import STATE_VERSION
 from roughmap_schemas import CheckpointEvent, CloudReason, Config, Event, IntegrationEvent, configuration_digest
 from roughmap_schemas.faults import ReportedError
 from roughmap_service.journal.reader import LogError
@@ -26,14 +27,26 @@ class ReplayError(ReportedError):
 
 @dataclass
 class Replayed:
-    """The result of a replay. ``difference`` is None if everything was equal; ``config`` is the last file's."""
+    """The result of a replay.
+
+    ``difference`` is None if everything was equal. ``config`` is the last file's. ``state_version`` is the log's: the
+    digests of another version than the present one can't be compared. Then there is no difference, and ``others``
+    counts the events that came out otherwise.
+    """
 
     run_id: str
     config: Config
     run: Run
+    state_version: int = STATE_VERSION
     checkpoints: int = 0
     events: int = 0
+    others: int = 0
     difference: str | None = None
+
+    @property
+    def comparable(self) -> bool:
+        """Whether the log's digests say anything about the map."""
+        return self.state_version == STATE_VERSION
 
     @property
     def verdict(self) -> str:
@@ -41,7 +54,15 @@ class Replayed:
         if self.difference is not None:
             return f"differs at {self.difference}"
         rough_map = self.run.map
-        return f"equal: {self.checkpoints} checkpoints, sequence {rough_map.sequence}, digest {rough_map.digest()}"
+        reached = f"sequence {rough_map.sequence}, digest {rough_map.digest()}"
+        if self.comparable:
+            return f"equal: {self.checkpoints} checkpoints, {reached}"
+        found = f"{self.others} of" if self.others else "all"
+        how = "otherwise" if self.others else "as logged"
+        return (
+            f"not comparable: the log's {self.checkpoints} digests are of state version {self.state_version}, those of "
+            f"today of version {STATE_VERSION}; {found} {self.events} events came out {how}; {reached}"
+        )
 
 
 Watch = Callable[[Step], None]
@@ -51,13 +72,14 @@ def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watc
     """Integrate the logs again and compare each event and checkpoint; stop at the first difference.
 
     ``from_store`` is the map.db from which the logs continue, if they do not begin with the run. LogError or
-    ReplayError if the logs are not one complete run. An event that can't be applied at its place is a difference.
+    ReplayError if the logs are not one complete run. An event that can't be applied at its place is a difference. The
+    digests of a log of another state version are not compared, and the replay doesn't stop.
     """
     files = one_run(find_files(paths))
     config = config_of(files[0])
     run = Run(Settings(config), new_map(config))
     taken, low_water = _begin(files, run, from_store)
-    result = Replayed(files[0].metadata.run, config, run)
+    result = Replayed(files[0].metadata.run, config, run, state_version_of(files))
     reached: LogItem | None = None
 
     def items() -> Iterator[LogItem]:
@@ -67,9 +89,12 @@ def replay(paths: Sequence[Path], *, from_store: Path | None = None, watch: Watc
 
     try:
         for step in fold(run, items(), taken=taken, low_water=low_water):
-            result.difference = _compare(step, run, taken)
-            if result.difference is not None:
-                return result
+            if result.comparable:
+                result.difference = _compare(step, run, taken)
+                if result.difference is not None:
+                    return result
+            elif isinstance(step.item, EventRecord) and not isinstance(step.item.event, CheckpointEvent):
+                result.others += step.outcome != step.item.event
             if isinstance(step.item, FileStart):
                 result.config = step.item.config
             elif isinstance(step.item, EventRecord):
@@ -133,6 +158,12 @@ def config_of(file: RunFile) -> Config:
         return Config.from_log(file.metadata.configuration)
     except ValueError as error:
         raise LogError(f"{file.path}: its configuration can't be read: {str(error).splitlines()[0]}") from None
+
+
+def state_version_of(files: Sequence[RunFile]) -> int:
+    """Return the state version of a run's log; if it has several, one that is not today's."""
+    versions = {file.metadata.state_version for file in files}
+    return min(versions - {STATE_VERSION}, default=STATE_VERSION)
 
 
 def _begin(files: Sequence[RunFile], run: Run, from_store: Path | None) -> tuple[int, int]:

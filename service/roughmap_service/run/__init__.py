@@ -14,6 +14,7 @@
                     rules_1.py         how poses were taken in logs of the first version
     sensor_times.py how the times of each sensor's points are read; point_times.py finds their form
     placing.py      a cloud's points -> the map's frame and tiles; returns.py: points that are none
+    keeping.py      which tiles the map no longer keeps
     duplicates.py   messages that were logged before
     fold.py         a log's records -> a run, in a replay and after a restart
     settings.py     the configuration, unpacked; metadata.py: what a log file says of its run

@@ -2,6 +2,7 @@
 
 from importlib.metadata import version
 
+from roughmap import STATE_VERSION
 from roughmap_schemas import Config, RunMetadata
 from roughmap_service.run.run import Run
 
@@ -19,5 +20,6 @@ def file_metadata(run_id: str, run: Run, config: Config, *, epoch: int, index: i
         base_digest=run.map.digest(),
         version=version("roughmap"),
         rules=run.settings.rules,
+        state_version=STATE_VERSION,
         configuration=config.public_dict(),
     )

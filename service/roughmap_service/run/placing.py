@@ -22,11 +22,13 @@ def place_cloud(
     poses: Sequence[Pose],
     settings: Settings,
     *,
+    clear: bool = False,
     no_new_tiles: bool = False,
     reader_lock: ReaderLock = nullcontext,
 ) -> Prepared:
     """Place a cloud's points (eq. 1) and bring the tiles they touch into memory; the map does not change yet.
 
+    With ``clear`` a scan also clears what it sees through, unless none of its points is accepted.
     Raises TooManyTiles if the cloud needs more new tiles than it may have (none with ``no_new_tiles``), NoTrajectory
     for ``poses`` that are not one. ``reader_lock`` as for `RoughMap.prepare_points`.
     """
@@ -34,6 +36,7 @@ def place_cloud(
     if cloud.frame_id == settings.frame_id:  # placed already: no pose, no sensor limits, one covariance for all points
         return rough_map.prepare_points(
             cloud.points, settings.placed_covariance, cloud.stamp_ns, offsets_ns=cloud.offsets_ns,
+            common=settings.placed_variance, pose_error_time=settings.pose_error_time(robot),
             max_new_tiles=most_new, max_tiles=most, reader_lock=reader_lock,
         )  # fmt: skip
     sensor = settings.sensor(robot, cloud.frame_id)
@@ -53,8 +56,9 @@ def place_cloud(
     )
     path = trajectory(poses, settings.pose_covariance)
     prepared = rough_map.prepare_scan(
-        scan, path, sensor.noise, sensor.limits, max_new_tiles=most_new, max_tiles=most, reader_lock=reader_lock
-    )
+        scan, path, sensor.noise, sensor.limits,
+        clear=clear, max_new_tiles=most_new, max_tiles=most, reader_lock=reader_lock,
+    )  # fmt: skip
     if repeated is not None:
         rejected = prepared.rejected | {PointReason.DUPLICATE_RETURN: int(np.count_nonzero(repeated))}
         prepared = replace(prepared, rejected=rejected)

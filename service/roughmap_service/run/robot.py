@@ -243,7 +243,7 @@ class Robot:
         self.clock.anew_from = number
         for sensor in self.sensors.values():
             sensor.begin()
-            sensor.last_ns = -1
+            sensor.last_ns = sensor.cleared_ns = -1
 
     def to_state(self) -> dict[str, Any]:
         """Return everything as JSON values."""

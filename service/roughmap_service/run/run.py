@@ -17,13 +17,17 @@ from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from roughmap import Prepared, RoughMap, TooManyTiles
+from roughmap.arrays import I4
 from roughmap.tiles.table import ReaderLock
 from roughmap_schemas import (
     CheckpointEvent,
     Cloud,
     CloudReason,
     Event,
+    ForgetEvent,
     IntegrationEvent,
     Odometry,
     PointReason,
@@ -211,10 +215,12 @@ class Run:
         ends as `too_many_tiles`.
         """
         cloud, outcome, prepared = proposal.cloud, proposal.outcome, Prepared(0, {})
+        clearing = None
         if outcome in KNOWN_WHEN_PLACED:
             # No replay can know whether there was room, but it can know that the cloud needed a new tile.
             no_new_tiles = no_new_tiles or outcome == CloudReason.TOO_MANY_TILES
             poses = self._named_poses(proposal)
+            clearing = self._clearing_sensor(cloud)
             try:
                 prepared = place_cloud(
                     self.map,
@@ -222,6 +228,7 @@ class Run:
                     cloud.cloud,
                     poses,
                     self.settings,
+                    clear=clearing is not None,
                     no_new_tiles=no_new_tiles,
                     reader_lock=reader_lock,
                 )
@@ -234,12 +241,14 @@ class Run:
                 ) from None
 
         def change() -> IntegrationEvent:
-            self.map.integrate(prepared)
+            report = self.map.integrate(prepared)
             del self.clouds[cloud.input]  # with the map held: readers that see no cloud waiting see all of them mapped
             self.doubts.pop(cloud.input, None)
             if prepared.accepted:
                 self._count_integrated(cloud)
                 self.newest_stamp_ns = max(self.newest_stamp_ns, cloud.last_ns)
+                if clearing is not None:
+                    clearing.cleared_ns = cloud.cloud.stamp_ns
             return IntegrationEvent(
                 epoch=self.epoch,
                 input=cloud.input,
@@ -249,6 +258,7 @@ class Run:
                 accepted=prepared.accepted,
                 rejected={PointReason(name): n for name, n in prepared.rejected.items()},
                 sequence=self.map.sequence,
+                cleared=report.cleared,
             )
 
         return change
@@ -267,6 +277,12 @@ class Run:
         self.epoch += 1
         self.newest_stamp_ns = 0
         return ResetEvent(epoch=self.epoch, sequence=self.map.sequence)
+
+    def forget(self, tiles: I4) -> ForgetEvent:
+        """Erase (T, 2) level-0 tiles, ascending. RunError if the map lacks one of them."""
+        if self.map.forget(tiles) != len(tiles):
+            raise RunError("an event forgets tiles that the map does not have")
+        return ForgetEvent(epoch=self.epoch, sequence=self.map.sequence, tiles=tiles.tolist())
 
     def checkpoint(self) -> CheckpointEvent:
         """Return the map's digest at its current sequence."""
@@ -289,6 +305,11 @@ class Run:
             return self.place(Proposal(cloud, event.outcome, tuple(event.poses)))()
         if isinstance(event, SensorTimeEvent):
             return self.read_times(event)
+        if isinstance(event, ForgetEvent):
+            try:
+                return self.forget(np.array(event.tiles, np.int32))
+            except OverflowError:
+                raise RunError("an event forgets tiles beyond all maps") from None
         return self.reset() if isinstance(event, ResetEvent) else self.checkpoint()
 
     def use(self, settings: Settings) -> None:
@@ -327,6 +348,14 @@ class Run:
                 self.doubts.pop(cloud.input, None)
             else:
                 self.doubts[cloud.input] = Doubt(CloudReason.CLOCK_RESET)
+
+    def _clearing_sensor(self, cloud: LoggedCloud) -> SensorClock | None:
+        """Return the sensor whose scan it is if the scan clears what it sees through, else None."""
+        robot = self.robots.get(cloud.robot)
+        sensor = None if robot is None else robot.sensors.get(cloud.cloud.frame_id)
+        if sensor is None or not self.settings.clears:
+            return None
+        return sensor if sensor.clears(cloud.cloud.stamp_ns, self.settings.clear_interval_ns) else None
 
     def _count_integrated(self, cloud: LoggedCloud) -> None:
         sensor = self.robots[cloud.robot].sensors.get(cloud.cloud.frame_id) if cloud.robot in self.robots else None

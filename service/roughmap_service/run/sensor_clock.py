@@ -92,6 +92,7 @@ class SensorClock:
         usual_ns: the usual latency of its clouds, less that of the odometry; None until known.
         ahead: windows in a row in which the clock was ahead.
         integrated: clouds integrated, up to `SETTLED`.
+        cleared_ns: stamp of the last scan that cleared; -1: none.
     """
 
     last_ns: int = -1
@@ -110,6 +111,7 @@ class SensorClock:
     usual_ns: int | None = None
     ahead: int = 0
     integrated: int = 0
+    cleared_ns: int = -1
     window: Window = field(default_factory=Window)
 
     @property
@@ -159,6 +161,10 @@ class SensorClock:
             window.odometry_ns, window.odometry_least_ns = stamp_ns, latency
         window.odometry_last_ns = stamp_ns
         window.odometry_least_ns = min(window.odometry_least_ns, latency)
+
+    def clears(self, stamp_ns: int, interval_ns: int) -> bool:
+        """Return whether a scan of this stamp clears what it sees through: one does in each interval."""
+        return self.cleared_ns < 0 or not 0 <= stamp_ns - self.cleared_ns < interval_ns
 
     def count_integrated(self) -> None:
         """Count a cloud that went into the map."""

@@ -1,5 +1,6 @@
 """The configuration, unpacked once into the plain values that the rules of a run use."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
@@ -70,7 +71,13 @@ class Settings:
         self.pose_sigma = pose_sigma = np.minimum(np.array(inputs.pose_sigma, np.float64), LARGEST_SIGMA)
         placed_sigma = min(inputs.placed_sigma, LARGEST_SIGMA)
         self.pose_covariance: npt.NDArray[np.float64] = np.diag(pose_sigma**2)
-        self.placed_covariance: npt.NDArray[np.float64] = np.eye(3) * (placed_sigma * placed_sigma)
+        self.placed_variance = placed_sigma * placed_sigma
+        self.placed_covariance: npt.NDArray[np.float64] = np.eye(3) * self.placed_variance
+        self.clears = config.map.surface == "ground"
+        self.keep_radius = config.map.keep.radius
+        self.keep_age_ns = config.map.keep.age * NS
+        self.forgets = math.isfinite(self.keep_radius) or math.isfinite(self.keep_age_ns)
+        self.clear_interval_ns = round(min(config.map.clear_interval, LONGEST) * NS)
         # A transform that moves by more than three sigmas of a pose is a correction, not drift.
         self.jump_m = 3.0 * max(inputs.pose_sigma[:3])
         self.jump_rad = 3.0 * max(inputs.pose_sigma[3:])
@@ -90,8 +97,12 @@ class Settings:
             found = self.config.sensor(robot, frame_id)
             if found is None:
                 return None  # not cached: unknown frame names come from outside, and there is no limit on their number
-            self._sensors[key] = _sensor(found, self.max_pose_gap)
+            self._sensors[key] = _sensor(found, self.max_pose_gap, self.pose_error_time(robot))
         return self._sensors[key]
+
+    def pose_error_time(self, robot: str) -> float:
+        """How long errors of a robot's poses last, in seconds."""
+        return min(self.config.pose_error_time(robot), LONGEST)
 
 
 def time_offset_ns(config: SensorConfig) -> int:
@@ -99,7 +110,7 @@ def time_offset_ns(config: SensorConfig) -> int:
     return round(min(max(config.time_offset, -LONGEST), LONGEST) * NS)
 
 
-def _sensor(config: SensorConfig, max_pose_gap: float) -> Sensor:
+def _sensor(config: SensorConfig, max_pose_gap: float, pose_error_time: float) -> Sensor:
     return Sensor(
         translation=config.translation,
         rotation=config.rotation,
@@ -108,6 +119,7 @@ def _sensor(config: SensorConfig, max_pose_gap: float) -> Sensor:
             range_sigma_per_m=config.range_sigma_per_m,
             beam_sigma=config.beam_sigma,
             mount_sigma=config.mount_sigma if any(config.mount_sigma) else None,
+            pose_error_time=pose_error_time,
         ),
         limits=Limits(
             min_range=config.min_range,
@@ -116,6 +128,7 @@ def _sensor(config: SensorConfig, max_pose_gap: float) -> Sensor:
             ceiling_slope=config.ceiling_slope,
             max_pose_gap=max_pose_gap,
             exclude=tuple(config.exclude),
+            fov=config.fov,
         ),
     )
 
@@ -138,6 +151,7 @@ def new_map(config: Config, shelf: Shelf | None = None) -> RoughMap:
         max_vertical_sigma=m.max_vertical_sigma,
         bounds=m.bounds,
         levels=m.levels,
+        surface=m.surface,
         threads=config.service.threads or None,
         shelf=shelf,
     )

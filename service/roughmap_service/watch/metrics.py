@@ -135,6 +135,7 @@ class Metrics(Collector):
             {"queries": 0, "updates": 0} | counts.outputs_dropped,
         )  # fmt: skip
         yield from self._state(status)
+        yield _counter("tiles_forgotten", "Level-0 tiles that the map forgot.", value=counts.tiles_forgotten)
         yield _gauge(
             "queue_bytes", "Messages to be numbered (intake), clouds (inbox), records for the disk (log).", "queue",
             {"intake": figures.input_queue_bytes, "inbox": figures.inbox_bytes, "log": figures.log_bytes},

@@ -98,6 +98,7 @@ class Status:
             bounds=self._map.bounds,
             extent=extent,
             error_model=self._map.error_model,
+            surface=self._map.surface,
             configuration_digest=self._served.configuration_digest,
             health=health_of(progress.problems),
             sequence=sequence,
@@ -126,6 +127,7 @@ class Status:
             rates=Rates(clouds=clouds, points=points, poses=poses),
             memory_bytes=memory_bytes(),
             tiles=TileCounts(resident=resident, spilled=tiles - resident),
+            forgotten=counts.tiles_forgotten,
             log=progress.log,
             uptime_s=time.monotonic() - self._started,
         )

@@ -1,0 +1,56 @@
+"""Which tiles the map no longer keeps: those far from all robots, and those without a new point for long."""
+
+import math
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from roughmap import RoughMap
+from roughmap.arrays import I4
+from roughmap.cell import TILE_CELLS
+from roughmap_service.run.robot import Robot
+from roughmap_service.run.settings import NS, Settings
+
+INTERVAL_NS = 5 * NS
+"""Time between two looks, by the stamps of the points."""
+
+MOST_TILES = 1 << 16
+"""Tiles of one event: about a megabyte of JSON."""
+
+
+class Keeping:
+    """Tells from time to time which tiles to forget; live only, since a replay forgets what the events name."""
+
+    def __init__(self) -> None:
+        self._looked_ns = -INTERVAL_NS
+
+    def due(self, settings: Settings, newest_ns: int) -> bool:
+        """Return whether to look for such tiles, at the newest stamp of the map's points; if so, count from there."""
+        if not settings.forgets or 0 <= newest_ns - self._looked_ns < INTERVAL_NS:
+            return False
+        self._looked_ns = newest_ns
+        return True
+
+
+def not_kept(rough_map: RoughMap, robots: Iterable[Robot], settings: Settings, newest_ns: int) -> I4:
+    """Return the (T, 2) tiles that `map.keep` does not keep, ascending.
+
+    Their centre is farther from the newest pose of every robot than the radius, or their newest point is older than the
+    age. Robots without a pose don't count; if none has one, no tile is far.
+    """
+    tiles, newest = rough_map.tile_stamps()
+    forgotten = newest < newest_ns - settings.keep_age_ns if math.isfinite(settings.keep_age_ns) else newest < 0
+    places = [robot.buffer.poses[-1].position for robot in robots if robot.buffer.poses]
+    if places and math.isfinite(settings.keep_radius):
+        centre = (tiles + 0.5) * (TILE_CELLS * rough_map.cell_size)
+        far = np.ones(len(tiles), np.bool_)
+        for x, y, _ in places:
+            far &= np.hypot(centre[:, 0] - x, centre[:, 1] - y) > settings.keep_radius
+        forgotten |= far
+    return tiles[forgotten]
+
+
+def pieces(tiles: I4) -> Iterator[I4]:
+    """Cut (T, 2) tiles into as many as one event may name."""
+    for start in range(0, len(tiles), MOST_TILES):
+        yield tiles[start : start + MOST_TILES]
