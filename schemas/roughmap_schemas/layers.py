@@ -21,14 +21,26 @@ LAYERS = (
     "weight",
     "expected_count",
     "age",
+    "mean_sigma",
+    "interval_95",
+    "confidence",
+    "local_confidence",
     "gradient_x",
     "gradient_y",
     "slope",
     "step_height",
     "traversability",
+    "roughness",
+    "obstacle",
+    "obstacle_top",
+    "overhang_low",
+    "passable_share",
 )
 """Every layer. ``roughmap.reading.layers`` has the same tuple; it is repeated here so that a client need not load the
 kernels."""
+
+GROUND_LAYERS = ("roughness", "obstacle", "obstacle_top", "overhang_low", "passable_share")
+"""Those that only a map of the ground has."""
 
 DEFAULT_LAYERS = ("mean_height",)
 """The layers of a query that names none."""
@@ -47,6 +59,11 @@ LIMIT_NAMES: Final[dict[Surface, tuple[str, ...]]] = {
 
 MAX_CLEARANCE: Final = 2.5
 """Metres: what hangs higher is not looked at."""
+
+
+def layers_of(surface: Surface) -> tuple[str, ...]:
+    """Return the layers that a map of that surface has."""
+    return LAYERS if surface == "ground" else tuple(name for name in LAYERS if name not in GROUND_LAYERS)
 
 
 def default_limits(surface: object) -> dict[str, float]:

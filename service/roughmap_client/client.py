@@ -17,7 +17,18 @@ from roughmap_client.replies import read_cells, read_model, read_region, read_ti
 from roughmap_client.results import Cells, Changes, Region, Tile, Version
 from roughmap_client.session import Answer, ask, open_session
 from roughmap_client.watching import Watch
-from roughmap_schemas import CellsQuery, ConfigFault, Keys, MapStatus, Receipt, RegionQuery, TileQuery, encodings
+from roughmap_schemas import (
+    CellsQuery,
+    ConfigFault,
+    ControlAnswer,
+    ForgetQuery,
+    Keys,
+    MapStatus,
+    Receipt,
+    RegionQuery,
+    TileQuery,
+    encodings,
+)
 from roughmap_schemas.keys import NAME, NAME_WORDS
 
 T = TypeVar("T")
@@ -235,6 +246,19 @@ class RoughMapClient:
             payload=message, encoding=INPUT_ENCODINGS[kind], attempt=RECEIPT_S,
         )  # fmt: skip
         return read_model(part, Receipt)
+
+    def forget(
+        self, bbox: Bbox | None = None, older: float | None = None, *, timeout: float | None = None
+    ) -> ControlAnswer:
+        """Erase level-0 tiles of the map, and return how many: the ground there is unknown until it is seen again.
+
+        Tiles that meet ``bbox`` (xmin, ymin, xmax, ymax in metres), whole; tiles without a point in the last ``older``
+        seconds, by the stamps of the points; with both, tiles that are both. For operators: where roles are set, others
+        may not. QueryRefused: `bad_bbox`, `bad_parameter` (neither is given), `log_unavailable`, `shutting_down`.
+        """
+        asked = ForgetQuery(bbox=bbox, older=older)
+        part = self._ask(self._keys.control("forget"), asked.format(), self._until(timeout), Answer.single)
+        return read_model(part, ControlAnswer)
 
     def _until(self, timeout: float | None) -> float:
         """Return the end of a call on the monotonic clock."""

@@ -11,6 +11,7 @@ from roughmap_schemas import (
     CheckpointEvent,
     Config,
     ControlAnswer,
+    ForgetEvent,
     IntegrationEvent,
     MapStatus,
     QueryError,
@@ -35,9 +36,11 @@ INTEGRATION = IntegrationEvent(
     accepted=5,
     rejected={"range": 2, "time": 1},
     sequence=4,
+    cleared=8,
 )
 CHECKPOINT = CheckpointEvent(epoch=2, sequence=4, digest=DIGEST)
 RESET = ResetEvent(epoch=3, sequence=5)
+FORGET = ForgetEvent(epoch=3, sequence=6, tiles=[(-3, 0), (-3, 1), (2, -7)])
 SENSOR_TIME = SensorTimeEvent(
     epoch=3, robot="r1", frame_id="os.lidar", field="time", unit="us", origin="end", sequence=5
 )
@@ -59,6 +62,7 @@ TILE: dict[str, Any] = {
     "digest": DIGEST,
     "configuration_digest": HEX,
     "compression": "zstd",
+    "surface": "ground",
 }
 
 STATUS: dict[str, Any] = {
@@ -76,6 +80,7 @@ STATUS: dict[str, Any] = {
     "bounds": None,
     "extent": [-6.4, 0.0, 6.4, 12.8],
     "error_model": "cuboid",
+    "surface": "ground",
     "configuration_digest": HEX,
     "health": "ok",
     "sequence": 7,
@@ -94,6 +99,7 @@ STATUS: dict[str, Any] = {
     "rates": {"clouds": 10.0, "points": 1e6, "poses": 50.0},
     "memory_bytes": 1 << 28,
     "tiles": {"resident": 5, "spilled": 0},
+    "forgotten": 3,
     "log": {"file": "a.mcap", "bytes": 123, "ok": True},
     "uptime_s": 12.5,
 }
@@ -108,6 +114,12 @@ STATE: dict[str, Any] = {
     "min": -0.5,
     "max": 0.1,
     "inv_cf": 1e6,
+    "variance": 0.25,
+    "shared": 0.125,
+    "pose_variance": 0.5,
+    "mount_sigma": 0.0,
+    "supported": True,
+    "off_ground": [{"height": 1.125, "hits": 15}],
 }
 
 METADATA: dict[str, Any] = {
@@ -121,6 +133,7 @@ METADATA: dict[str, Any] = {
     "base_digest": DIGEST,
     "version": "0.1.0",
     "rules": 2,
+    "state_version": 2,
     "configuration": Config().public_dict(),
 }
 
@@ -137,7 +150,7 @@ SAMPLES: dict[str, BaseModel] = {
             CellEntry(x=9.0, y=9.0, i=90, j=90, state=None, layers={}),
         ],
     ),
-    "ControlAnswer": ControlAnswer(sequence=4, epoch=2),
+    "ControlAnswer": ControlAnswer(sequence=4, epoch=2, tiles=6),
     "MapStatus": MapStatus.model_validate(STATUS),
     "QueryError": QueryError(code="bad_bbox", message="bbox: expected ..."),
     "QueryRecord": QueryRecord(selector="maps/site/tiles/0/*/*", tiles=3, sequence=4, duration_ns=10**6, outcome="ok"),
@@ -146,4 +159,4 @@ SAMPLES: dict[str, BaseModel] = {
     "TileInfo": TileInfo(**TILE),
     "UpdateRecord": UpdateRecord(key="maps/site/updates/1/-3/4", info=TileInfo(**TILE)),
 }
-EVENTS = (INTEGRATION, CHECKPOINT, RESET, SENSOR_TIME)
+EVENTS = (INTEGRATION, CHECKPOINT, RESET, FORGET, SENSOR_TIME)

@@ -8,13 +8,20 @@ import pytest
 from roughmap_schemas import Config, ConfigFault, SensorConfig, config_from, configuration_digest
 from roughmap_schemas.config import REMOVED
 from roughmap_schemas.keys import TEMPLATES
+from roughmap_schemas.layers import DEFAULT_SURFACE
 
 INF = math.inf
+
+LIMITS = {
+    "all": {"slope": 0.5, "step": 0.2, "std_dev": 0.1, "confidence": 0.9},
+    "ground": {"slope": 0.5, "step": 0.2, "roughness": 0.1, "confidence": 0.9, "clearance": 2.0},
+}
 
 DEFAULTS = {
     "map": {
         "name": "site",
         "frame_id": "map",
+        "surface": DEFAULT_SURFACE,
         "cell_size": 0.1,
         "error_model": "cuboid",
         "coverage": 2.0,
@@ -25,11 +32,13 @@ DEFAULTS = {
         "max_vertical_sigma": 0.5,
         "height_tolerance": 0.05,
         "bounds": None,
+        "clear_interval": 0.2,
+        "keep": {"radius": INF, "age": INF},
         "levels": 8,
         "memory_limit": 2 * 1024**3,
         "max_new_tiles": 4096,
         "max_tiles": 4_000_000,
-        "limits": {"slope": 0.5, "step": 0.2, "std_dev": 0.1, "confidence": 0.9},
+        "limits": LIMITS[DEFAULT_SURFACE],
     },
     "zenoh": {
         "mode": "peer",
@@ -107,6 +116,7 @@ SENSOR_DEFAULTS = {
     "time_origin": "auto",
     "time_offset": 0,
     "exclude": [],
+    "fov": None,
 }
 
 
@@ -152,7 +162,10 @@ BAD = [
     *(("map", "memory_limit", value, "") for value in (0, -1, "2 GiBs", "lots", "", 1.5, True, "-1MiB")),
     ("map", "max_tiles", 0, "greater than or equal to 1"),
     ("map", "max_horizontal_radius", 30, "at most 256 map.cell_size"),
-    ("map", "limits", {"steep": 1}, "slope, step, std_dev, range, confidence"),
+    ("map", "limits", {"steep": 1}, "slope, step, "),
+    ("map", "surface", "both", "'ground' or 'all'"),
+    ("map", "keep", {"radius": 0}, "greater than 0"),
+    ("map", "clear_interval", -1, "greater than or equal to 0"),
     ("map", "limits", {"slope": 0}, "greater than 0"),
     ("zenoh", "mode", "mesh", "'peer', 'client' or 'router'"),
     ("zenoh", "listen", "tcp/127.0.0.1:7447", "list"),
@@ -221,7 +234,7 @@ def test_a_sensor_must_say_how_far_it_is_to_be_believed() -> None:
         ({"mapp": {}}, "here.toml: mapp: unknown key, did you mean map? (allowed: map, zenoh, "),
         (
             {"map": {"cell_sise": 1}},
-            "here.toml: map.cell_sise: unknown key, did you mean cell_size? (allowed: name, frame_id, cell_size, ",
+            "here.toml: map.cell_sise: unknown key, did you mean cell_size? (allowed: name, frame_id, surface, ",
         ),
         (
             lidar(range=1),
@@ -229,7 +242,7 @@ def test_a_sensor_must_say_how_far_it_is_to_be_believed() -> None:
         ),
         (
             {"robots": {"r1": {"sensor": {}}}},
-            "here.toml: robots.r1.sensor: unknown key, did you mean sensors? (allowed: pose_covariance, sensors)",
+            "here.toml: robots.r1.sensor: unknown key, did you mean sensors? (allowed: pose_covariance, ",
         ),
         ({"keys": {"tile": "a"}}, "here.toml: keys.tile: unknown (allowed: points, "),
         (
@@ -308,6 +321,7 @@ def test_a_robots_sensor_lies_over_the_general_one() -> None:
 IDENTITY = {
     "name": "other",
     "frame_id": "world",
+    "surface": "all" if DEFAULT_SURFACE == "ground" else "ground",
     "cell_size": 0.2,
     "error_model": "ellipsoid",
     "coverage": 3.0,
@@ -323,6 +337,8 @@ OTHERS = [
     *(("map", "max_new_tiles", 5), ("map", "max_tiles", 9), ("input", "max_wait", 1), ("log", "compression", "zstd")),
     *(("store", "path", "a.db"), ("keys", "status", "s"), ("sensors", "lidar", {"range_sigma": 1})),
     ("input", "pose_sigma", [1] * 6),
+    ("map", "keep", {"radius": 50}),
+    ("map", "clear_interval", 1),
 ]
 
 
@@ -335,6 +351,41 @@ def test_the_digest_changes_with_the_identity_and_with_nothing_else() -> None:
     for section, key, value in OTHERS:
         assert configuration_digest(config_from({section: {key: value}}, "")) == base, key
     assert configuration_digest(config_from({"map": {"coverage": 2}}, "")) == base  # 2 is 2.0
+
+
+@pytest.mark.parametrize("surface", ["ground", "all"])
+def test_the_limits_are_those_of_the_surface(surface: str) -> None:
+    assert config_from({"map": {"surface": surface}}, "").map.limits == LIMITS[surface]
+    own = dict.fromkeys(LIMITS[surface], 0.25)
+    assert config_from({"map": {"surface": surface, "limits": own}}, "").map.limits == own
+    (other,) = LIMITS.keys() - {surface}
+    for name in LIMITS[other].keys() - LIMITS[surface].keys():
+        with pytest.raises(ConfigFault, match=f"map.limits: '{name}' is a limit of maps whose surface is '{other}'"):
+            config_from({"map": {"surface": surface, "limits": {name: 1.0}}}, "")
+
+
+def test_clearance_is_bounded() -> None:
+    with pytest.raises(ConfigFault, match=r"map\.limits: clearance must be at most 2\.5 m"):
+        config_from({"map": {"surface": "ground", "limits": {"clearance": 2.6}}}, "")
+
+
+def test_settings_of_logs_without_a_surface_are_of_all_points() -> None:
+    given = Config().public_dict()
+    del given["map"]["surface"], given["map"]["limits"], given["map"]["keep"]
+    assert Config.from_log(given).map.surface == "all"
+
+
+def test_the_time_of_a_robots_pose_errors() -> None:
+    given = config_from({"robots": {"r1": {"pose_error_time": 20}}}, "")
+    assert (given.pose_error_time("r1"), given.pose_error_time("r2")) == (20.0, 5.0)
+
+
+@pytest.mark.parametrize(("fov", "kept"), [([10, 20, 90, 180], (10.0, 20.0, 90.0, 180.0)), ("", None)])
+def test_a_field_of_view(fov: object, kept: object) -> None:
+    assert SensorConfig(range_sigma=0.02, fov=fov).fov == kept
+    for wrong in ([10, 20, 90], [91, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 181], "all"):
+        with pytest.raises(ValueError, match="fov"):
+            SensorConfig(range_sigma=0.02, fov=wrong)
 
 
 def test_the_public_settings_hide_secrets_and_read_back() -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from roughmap_schemas import ConfigFault, LoadedConfig, load_config
+from roughmap_schemas.layers import DEFAULT_LIMITS, default_limits
 
 TOML = """
 [map]
@@ -130,8 +131,26 @@ def test_one_limit_alone_over_those_below(file: Path) -> None:
     environ = {"ROUGHMAP_MAP__LIMITS__STEP": "0.3"}
     assert load_config(file, environ=environ).config.map.limits == {"slope": 0.4, "step": 0.3}
     loaded = load_config(None, {"map.limits.slope": 0.1}, environ)
-    assert loaded.config.map.limits == {"slope": 0.1, "step": 0.3, "std_dev": 0.1, "confidence": 0.9}
-    assert load_config(file, {"map.limits": {"range": 1}}).config.map.limits == {"range": 1.0}
+    assert loaded.config.map.limits == {**default_limits(None), "slope": 0.1, "step": 0.3}
+    assert load_config(file, {"map.limits": {"step": 1}}).config.map.limits == {"step": 1.0}
+
+
+@pytest.mark.parametrize("surface", ["all", "ground"])
+def test_one_limit_alone_over_the_defaults_of_the_surface(surface: str) -> None:
+    """Whichever of the two is named first, and where."""
+    given = {"map.limits.slope": 0.1, "map.surface": surface}
+    expected = {**DEFAULT_LIMITS[surface], "slope": 0.1}
+    assert load_config(None, given).config.map.limits == expected
+    environ = {"ROUGHMAP_MAP__LIMITS__SLOPE": "0.1", "ROUGHMAP_MAP__SURFACE": surface}
+    assert load_config(None, environ=environ).config.map.limits == expected
+
+
+def test_what_is_kept_can_be_set_one_by_one() -> None:
+    loaded = load_config(None, {"map.keep.radius": 50}, {"ROUGHMAP_MAP__KEEP__AGE": "600"})
+    assert loaded.config.map.keep.model_dump() == {"radius": 50.0, "age": 600.0}
+    assert loaded.sources["map.keep.radius"] == "command line"
+    with pytest.raises(ConfigFault, match=r"map\.keep\.radios: unknown key, did you mean radius\?"):
+        load_config(None, {"map.keep.radios": 50})
 
 
 def test_the_source_of_each_limit(file: Path) -> None:
@@ -146,8 +165,7 @@ def test_the_source_of_each_limit(file: Path) -> None:
     assert sources(load_config(None, {"map.limits.slope": 0.1}, one)) == {
         "map.limits.slope": "command line",
         "map.limits.step": "environment ROUGHMAP_MAP__LIMITS__STEP",
-        "map.limits.std_dev": "default",
-        "map.limits.confidence": "default",
+        **{f"map.limits.{name}": "default" for name in default_limits(None) if name not in ("slope", "step")},
     }
     whole = load_config(file, environ={"ROUGHMAP_MAP__LIMITS": '{"slope": 0.2}'})
     assert sources(whole) == {"map.limits.slope": "environment ROUGHMAP_MAP__LIMITS"}
@@ -159,7 +177,7 @@ def test_the_source_of_each_limit(file: Path) -> None:
     [
         (
             "ROUGHMAP_MAP__CELL_SISE",
-            "map.cell_sise: unknown key, did you mean cell_size? (allowed in map: name, frame_id, cell_size, ",
+            "map.cell_sise: unknown key, did you mean cell_size? (allowed in map: name, frame_id, surface, cell_size, ",
         ),
         ("ROUGHMAP_MAPP__NAME", "mapp.name: unknown key, did you mean map? (allowed: SECTION.KEY with map, zenoh, "),
         ("ROUGHMAP_MAP", "map: unknown key"),

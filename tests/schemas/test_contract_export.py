@@ -53,7 +53,7 @@ def test_instances_hold_to_them(name: str) -> None:
 def test_events_hold_to_them(event: object) -> None:
     root, value = schema("Event"), json.loads(encode_event(event))
     assert faults(value, root, root) == []
-    assert faults({**value, "kind": "forget"}, root, root)
+    assert faults({**value, "kind": "edit"}, root, root)
     assert faults({**value, "sequence": -1}, root, root)
     assert faults({**value, "more": 1}, root, root)
 

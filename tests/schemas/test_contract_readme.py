@@ -77,7 +77,7 @@ def test_the_version() -> None:
     [
         ("point", list(PointReason)),  # in the order in which they are tried
         ("layer", list(LAYERS)),
-        ("limit", list(LIMIT_NAMES)),
+        ("limit", [*LIMIT_NAMES["all"], *(name for name in LIMIT_NAMES["ground"] if name not in LIMIT_NAMES["all"])]),
         ("kind", list(events.KINDS)),
         ("cloud", list(CloudReason)),
         ("pose", list(PoseReason)),
@@ -103,7 +103,13 @@ def test_members_of_members() -> None:
         assert f"`{member}`" in entry
     for row, kind in zip(
         table("kind"),
-        (events.IntegrationEvent, events.CheckpointEvent, events.ResetEvent, events.SensorTimeEvent),
+        (
+            events.IntegrationEvent,
+            events.CheckpointEvent,
+            events.ResetEvent,
+            events.ForgetEvent,
+            events.SensorTimeEvent,
+        ),
         strict=True,
     ):
         assert set(kind.model_fields) - {"kind"} <= set(re.findall(r"`(\w+)`", row[1]))

@@ -7,7 +7,7 @@ from contract_tools import finite, many
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roughmap_schemas import LAYERS, CellsQuery, QueryFault, RegionQuery, TileQuery
+from roughmap_schemas import LAYERS, LIMIT_NAMES, CellsQuery, ForgetQuery, QueryFault, RegionQuery, TileQuery
 from roughmap_schemas.parameters import parse_parameters
 
 BBOX = "bbox=0,0,1,1"
@@ -17,7 +17,7 @@ looks = {
     "layers": st.lists(st.sampled_from(LAYERS), min_size=1, unique=True).map(tuple),
     "tolerance": st.none() | positive,
     "limits": st.none()
-    | st.dictionaries(st.sampled_from(["slope", "step", "std_dev", "range", "confidence"]), positive, min_size=1),
+    | st.dictionaries(st.sampled_from(sorted({*LIMIT_NAMES["all"], *LIMIT_NAMES["ground"]})), positive, min_size=1),
 }
 grids = {**looks, "dtype": st.sampled_from(["f4", "f8"]), "compression": st.sampled_from([None, "zstd"])}
 counts = st.integers(0, 10**18)
@@ -44,6 +44,30 @@ def test_region_queries_there_and_back(values: dict) -> None:
 def test_cells_queries_there_and_back(values: dict) -> None:
     query = CellsQuery(**values)
     assert CellsQuery.parse(*query.format()) == query
+
+
+@many
+@given(boxes, positive, st.sampled_from(["bbox", "older", "both"]))
+def test_forget_queries_there_and_back(bbox: tuple[float, float, float, float], older: float, which: str) -> None:
+    query = ForgetQuery(bbox=None if which == "older" else bbox, older=None if which == "bbox" else older)
+    assert ForgetQuery.parse(query.format()) == query
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("", "bad_parameter"),
+        ("older=0", "bad_parameter"),
+        ("older=old", "bad_parameter"),
+        ("bbox=0,0,0,1", "bad_bbox"),
+        ("older=1;level=0", "unknown_parameter"),
+    ],
+)
+def test_what_forget_refuses(text: str, code: str) -> None:
+    """Above all nothing at all: that would be a reset."""
+    with pytest.raises(QueryFault) as caught:
+        ForgetQuery.parse(text)
+    assert caught.value.code == code
 
 
 def test_the_defaults() -> None:

@@ -158,7 +158,8 @@ def _resources(status: MapStatus) -> Table:
     if status.extent is not None:
         xmin, ymin, xmax, ymax = status.extent
         extent = f", {xmax - xmin:,.0f} x {ymax - ymin:,.0f} m"
-    table.add_row("tiles", f"{tiles.resident:,} in memory, {tiles.spilled:,} on disk{extent}")
+    forgotten = f", {status.forgotten:,} forgotten" if status.forgotten else ""
+    table.add_row("tiles", f"{tiles.resident:,} in memory, {tiles.spilled:,} on disk{forgotten}{extent}")
     fault = "" if log.ok else ", NOT WRITABLE"
     name = printable(Path(log.file).name) if log.file else "none"
     table.add_row("log", Text(f"{_bytes(log.bytes)} in {name}{fault}", "" if log.ok else "bold red"))

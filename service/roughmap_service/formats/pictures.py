@@ -59,6 +59,15 @@ STYLES: dict[str, tuple[str, str, str]] = {
     "slope": ("slope", "rad", "inferno"),
     "step_height": ("step height", "m", "inferno"),
     "traversability": ("traversability", "0 blocked, 1 free", "RdYlGn"),
+    "mean_sigma": ("standard error of the mean", "m", "magma"),
+    "interval_95": ("half width of the 95 % interval", "m", "magma"),
+    "confidence": ("confidence", "probability", "viridis"),
+    "local_confidence": ("confidence against the cells around", "probability", "viridis"),
+    "roughness": ("roughness", "m", "magma"),
+    "obstacle": ("obstacle", "0 none, 1 obstacle", "RdYlGn_r"),
+    "obstacle_top": ("top of an obstacle over the ground", "m", "inferno"),
+    "overhang_low": ("lowest overhang over the ground", "m", "cividis"),
+    "passable_share": ("part of a cell that is passable", "0 blocked, 1 free", "RdYlGn"),
 }
 """Layer -> its name in the picture, its unit, its colour map."""
 
@@ -68,7 +77,9 @@ LOGARITHMIC = frozenset({"confidence_factor", "mean_variance", "count", "weight"
 HEIGHTS = frozenset({"mean_height", "mid_range_height", "max_height", "min_height"})
 """Layers drawn with hill shading: in the colours of a whole hill alone, rocks and ditches would be invisible."""
 
-FIXED_SPAN = {"confidence_level": (0.0, 1.0), "traversability": (0.0, 1.0)}
+FIXED_SPAN = dict.fromkeys(
+    ("confidence_level", "traversability", "confidence", "local_confidence", "obstacle", "passable_share"), (0.0, 1.0)
+)
 
 
 def draw(region: Layers, layers: Sequence[str], file: Path, *, title: str = "", tracks: Sequence[Floats] = ()) -> None:
