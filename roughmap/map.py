@@ -83,7 +83,9 @@ class RoughMap:
         if not isinstance(threads, int) or not 1 <= threads <= 256:
             raise ValueError(f"threads: expected an integer in [1, 256] or None, got {threads!r}")
         self.sequence = 0
-        """Increases by 1 with each call that accepts a point and with each `reset`."""
+        """Increases by 1 with each call that accepts a point, each `reset`, and each `forget` of a tile."""
+        self.forgotten_at = 0
+        """The sequence of the last `forget`; 0 if there was none."""
         self.newest_updated = 0
         """The newest stamp of any tile, in whole seconds; 0 if the map is empty."""
         self._space = Workspace(threads, self.settings.side)
@@ -281,6 +283,7 @@ class RoughMap:
             return 0
         self._table.forget(entries, self.sequence + 1)
         self.sequence += 1
+        self.forgotten_at = self.sequence
         self.newest_updated = self._newest()
         return len(entries)
 
