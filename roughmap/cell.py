@@ -10,7 +10,7 @@ TILE_SHIFT = 6
 TILE_CELLS = 1 << TILE_SHIFT
 """Cells along the side of a tile."""
 
-STATE_VERSION = 1
+STATE_VERSION = 2
 """Raised when the meaning of stored cells changes. A store of another version is rebuilt, never converted."""
 
 CELL_DTYPE = np.dtype(

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from roughmap.arrays import I4, I8, U1, Records
+from roughmap.arrays import I4, I8, U1
 from roughmap.cell import TILE_CELLS
 from roughmap.integration.geometry import PointInput, placed_points, scan_points
 from roughmap.integration.phases import AddReport, Prepared, phase_one, phase_two
@@ -21,11 +21,15 @@ from roughmap.reading.merge_cache import MergeCache
 from roughmap.reading.region import Region, cell_box, read_region, tile_box
 from roughmap.settings import MapSettings
 from roughmap.tiles import loading
+from roughmap.tiles.changes import rings
 from roughmap.tiles.digest import map_digest
 from roughmap.tiles.eviction import Eviction
-from roughmap.tiles.index import TileBox, TileVersions, paired
+from roughmap.tiles.index import TILE_LIMIT, TileBox, TileVersions, paired
 from roughmap.tiles.shelf import Shelf
+from roughmap.tiles.state import TileState
 from roughmap.tiles.table import ReaderLock, TileTable
+
+_SECOND_NS = 1_000_000_000
 
 
 class RoughMap:
@@ -79,13 +83,15 @@ class RoughMap:
         if not isinstance(threads, int) or not 1 <= threads <= 256:
             raise ValueError(f"threads: expected an integer in [1, 256] or None, got {threads!r}")
         self.sequence = 0
-        """Increases by 1 with each call that accepts a point and with each `reset`."""
+        """Increases by 1 with each call that accepts a point, each `reset`, and each `forget` of a tile."""
+        self.forgotten_at = 0
+        """The sequence of the last `forget`; 0 if there was none."""
         self.newest_updated = 0
-        """Largest `updated` of any cell, in seconds; 0 if the map is empty."""
+        """The newest stamp of any tile, in whole seconds; 0 if the map is empty."""
         self._space = Workspace(threads, self.settings.side)
-        self._table = TileTable(levels, shelf or Shelf())
+        self._rings = rings(self.settings.surface, self.settings.cell_size, levels)
+        self._table = TileTable(self._rings, shelf or Shelf())
         self._cache = MergeCache()
-        self._digest = ((-1, 0), "")  # the last digest, and the version it belongs to
 
     @property
     def cell_size(self) -> float:
@@ -235,7 +241,7 @@ class RoughMap:
             raise ValueError("expected the points prepared last, for the map as it is now")
         newest_ns = phase_two(work, self.sequence + 1, self._table, self.settings, self._space)
         self.sequence += 1
-        self.newest_updated = max(self.newest_updated, newest_ns // 1_000_000_000)
+        self.newest_updated = max(self.newest_updated, newest_ns // _SECOND_NS)
         return AddReport(prepared.accepted, prepared.rejected, work.changed)
 
     @property
@@ -246,7 +252,7 @@ class RoughMap:
     def reset(self) -> None:
         """Remove all cells; the sequence goes on. Open frozen maps keep their cells."""
         self._table.clear()
-        self._table = TileTable(self.levels, self._table.shelf)
+        self._table = TileTable(self._rings, self._table.shelf)
         self._cache.generation += 1
         self.newest_updated = 0
         self.sequence += 1
@@ -259,17 +265,43 @@ class RoughMap:
             )
         self.sequence = sequence
 
+    def forget(self, tiles: npt.ArrayLike) -> int:
+        """Remove level-0 tiles, (T, 2) of their numbers, and return how many the map had.
+
+        If it had one, the sequence increases by 1, for the neighbours of these tiles and the levels above too. Open
+        frozen maps keep their cells. ValueError for anything but (T, 2) integers.
+        """
+        wanted = np.asarray(tiles)
+        if wanted.size == 0:
+            return 0
+        if wanted.ndim != 2 or wanted.shape[1] != 2 or wanted.dtype.kind not in "iu":
+            raise ValueError(f"tiles: expected (T, 2) integers, got {wanted.dtype} of shape {wanted.shape}")
+        wanted = wanted[((wanted >= -TILE_LIMIT) & (wanted < TILE_LIMIT)).all(axis=1)].astype(np.int32)
+        entries = np.unique(self._table.levels[0].find_each(wanted[:, 0], wanted[:, 1]))
+        entries = entries[entries >= 0]
+        if not len(entries):
+            return 0
+        self._table.forget(entries, self.sequence + 1)
+        self.sequence += 1
+        self.forgotten_at = self.sequence
+        self.newest_updated = self._newest()
+        return len(entries)
+
+    def _newest(self) -> int:
+        """Return the newest second of the tiles, 0 if there are none."""
+        return int(self._table.newest_ns[: self.tile_count].max(initial=0)) // _SECOND_NS
+
     def load_tile(
-        self, tx: int, ty: int, records: Records, oldest_ns: int, newest_ns: int, digest: bytes | None = None
+        self, tx: int, ty: int, state: TileState, oldest_ns: int, newest_ns: int, digest: bytes | None = None
     ) -> None:
-        """Load a stored tile, (4096,) of CELL_DTYPE. Its sequence becomes the current one of the map.
+        """Load a stored tile. Its sequence becomes the current one of the map.
 
         ``digest``: its XXH3-128 as 16 big-endian bytes, if known. ValueError for a tile that the map already has, that
-        has no known cell, or that lies outside the map.
+        has no known cell, whose column has no based cell, or that lies outside the map.
         """
-        loading.load_tile(self._table, self.sequence, tx, ty, records, oldest_ns, newest_ns, digest)
+        loading.load_tile(self._table, self.sequence, tx, ty, state, oldest_ns, newest_ns, digest)
         self._cache.generation += 1
-        self.newest_updated = max(self.newest_updated, int(records["updated"].max()))
+        self.newest_updated = max(self.newest_updated, newest_ns // _SECOND_NS)
 
     def load_shelved(self, tx: I4, ty: I4, oldest_ns: I8, newest_ns: I8, digests: U1, places: I4) -> None:
         """Fill an empty map with (T,) different tiles that lie in allocated ``places`` of the shelf and stay there.
@@ -280,8 +312,7 @@ class RoughMap:
         """
         loading.load_shelved(self._table, self.sequence, tx, ty, oldest_ns, newest_ns, digests, places)
         self._cache.generation += 1
-        # The newest stamp of a tile is the stamp of a point in one of its cells.
-        self.newest_updated = int(newest_ns.max(initial=0)) // 1_000_000_000
+        self.newest_updated = self._newest()
 
     def spill(self, number: int) -> Eviction:
         """Start to move about ``number`` tiles, the least recently used ones, to the shelf.
@@ -297,13 +328,12 @@ class RoughMap:
 
     def tile_digests(self) -> tuple[I4, I4, U1]:
         """Return (tx, ty, digests (T, 16)) of the level-0 tiles with a known cell, ascending by (tx, ty)."""
-        return self._table.digests()
+        return self._table.tile_digests()
 
     def digest(self) -> str:
-        """Return the XXH3-128, in hex, over the digests of all tiles (no bytes if the map is empty); cached."""
-        if self._digest[0] != self._version:
-            self._digest = self._version, map_digest(*self.tile_digests())
-        return self._digest[1]
+        """Return the XXH3-128 of the map, in hex; see `map_digest`. It costs what has changed since the last call."""
+        self._table.refresh_digests()
+        return map_digest(self.tile_count, self._table.digests.total)
 
     def freeze(self, level: int = 0, box: TileBox | None = None, *, after: int = -1) -> FrozenMap:
         """Freeze the tiles of ``level`` in ``box`` (tile numbers, inclusive; None: all) as they are now, to be read

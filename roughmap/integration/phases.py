@@ -17,7 +17,6 @@ from roughmap.integration.workspace import Planes, ThreadScratch, TouchedTiles, 
 from roughmap.jit import kernel
 from roughmap.points.place import BLOCK
 from roughmap.settings import MapSettings, Rules
-from roughmap.tiles.changes import mark_changed
 from roughmap.tiles.index import find, find_or_add
 from roughmap.tiles.table import ReaderLock, TileTable
 
@@ -221,13 +220,11 @@ def phase_two(work: Work, sequence: int, table: TileTable, settings: MapSettings
 
     A MemoryError comes before anything has changed.
     """
-    tx, ty, entries, new = work.tx, work.ty, work.entries.copy(), work.new
+    tx, ty, new = work.tx, work.ty, work.new
     ranges = space.tiles(len(work.edges) - 1)
     tiles = ranges[0]  # of all, merged
     # All memory is allocated before the first cell is written, so that a failure changes nothing.
-    table.make_writable(entries[entries >= 0])
-    if len(new):
-        entries[new] = table.insert(tx[new], ty[new], dense=tiles.work[new] >= _DENSE_POINTS)
+    entries, _ = table.open(work.entries, tx, ty, tiles.work[: tiles.number] >= _DENSE_POINTS, columns=False)
     table.used[entries] = sequence
 
     oldest, newest = table.oldest_ns[entries], table.newest_ns[entries]
@@ -260,7 +257,5 @@ def phase_two(work: Work, sequence: int, table: TileTable, settings: MapSettings
     space.run(work.parts, update)
     table.oldest_ns[entries] = oldest
     table.newest_ns[entries] = newest
-    table.digest_known[entries] = False
-    for z, level in enumerate(table.levels):
-        mark_changed(z, level.table, level.keys, level.sequence, tx, ty, work.bits, sequence)
+    table.mark_changed(entries, tx, ty, work.bits, sequence)
     return int(newest.max(initial=0))

@@ -1,11 +1,12 @@
 """The state of a tile, as stores, shelves and readers see it."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from roughmap.arrays import Records
+from roughmap.cell import CELL_DTYPE, COLUMN_DTYPE, TILE_CELLS, TRUST_DTYPE
 
 
 class TileState(NamedTuple):
@@ -17,6 +18,17 @@ class TileState(NamedTuple):
     cells: Records
     trust: Records
     column: Records | None
+
+    @classmethod
+    def of_bytes(cls, raw: bytes) -> Self:
+        """Return read-only views of the arrays, which lie one after another in ``raw``."""
+        number = TILE_CELLS * TILE_CELLS
+        trust, column = number * CELL_DTYPE.itemsize, number * (CELL_DTYPE.itemsize + TRUST_DTYPE.itemsize)
+        return cls(
+            np.frombuffer(raw, CELL_DTYPE, number),
+            np.frombuffer(raw, TRUST_DTYPE, number, trust),
+            np.frombuffer(raw, COLUMN_DTYPE, number, column) if len(raw) > column else None,
+        )
 
     @property
     def nbytes(self) -> int:

@@ -11,7 +11,9 @@ from properties import examples
 from strategies import MODELS, WEIGHTED, cell_boxes, cells_of
 
 from roughmap import RoughMap
+from roughmap.cell import TRUST_DTYPE
 from roughmap.integration.workspace import Workspace
+from roughmap.tiles.state import TileState
 
 TOP, BOTTOM = 2.0**31, -(2.0**31)
 SMALL = np.eye(3) * 1e-6
@@ -129,7 +131,7 @@ def test_counts_stop_at_the_top() -> None:
         records = frozen.records(0, 0).reshape(-1).copy()
     records[0]["count"] = 2**32 - 2
     other = RoughMap(cell_size=1.0, error_model="point", threads=1)
-    other.load_tile(0, 0, records, 0, 0)
+    other.load_tile(0, 0, TileState(records, np.zeros(4096, TRUST_DTYPE), None), 0, 0)
     for count in (2**32 - 1, 2**32 - 1):
         other.add([(0.5, 0.5, 1.0)])
         assert int(cells_of(other)[0, 0]["count"]) == count

@@ -8,6 +8,8 @@ import pytest
 from strategies import SECOND_NS, state_of
 
 from roughmap import CELL_DTYPE, Limits, Noise, RoughMap, Scan, Trajectory
+from roughmap.cell import TRUST_DTYPE
+from roughmap.tiles.state import TileState
 
 END_NS = 2**32 * SECOND_NS
 S = np.eye(3) * 1e-4
@@ -60,11 +62,13 @@ def test_add(m: RoughMap, name: str) -> None:
     assert state_of(m) == before
 
 
+ONES = TileState(np.ones(4096, CELL_DTYPE), np.ones(4096, TRUST_DTYPE), None)
+
 SINCE: dict[str, Callable[[RoughMap], Any]] = {
     "done already": lambda m: m.add(ONE, S),
     "another prepared": lambda m: m.prepare_points(ONE, S),
     "emptied": lambda m: m.reset(),
-    "a tile loaded": lambda m: m.load_tile(50, 50, np.ones(4096, CELL_DTYPE), 0, 0),
+    "a tile loaded": lambda m: m.load_tile(50, 50, ONES, 0, 0),
 }
 
 

@@ -5,16 +5,15 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-import numpy as np
 import pytest
 import zstandard
 from log_edits import nth, rewrite
 from service_tools import LoggedRun, config
 
-from roughmap import CELL_DTYPE, RoughMap
+from roughmap import RoughMap
 from roughmap_service.engine.recovery import begin_new_run, recover
 from roughmap_service.run.run import RunError
-from roughmap_service.store.map_db import OtherStateVersion, Store, StoreError
+from roughmap_service.store.map_db import STATE_BYTES, OtherStateVersion, Store, StoreError
 
 
 @pytest.fixture
@@ -118,12 +117,12 @@ def bomb() -> bytes:
 
 
 @pytest.mark.parametrize(
-    "records", [bomb(), b"", b"noise", "text", zstandard.compress(b"short")], ids=["bomb", "", "noise", "text", "short"]
+    "state", [bomb(), b"", b"noise", "text", zstandard.compress(b"short")], ids=["bomb", "", "noise", "text", "short"]
 )
-def test_records_that_are_none(logs: Path, store: Store, records: object) -> None:
+def test_states_that_are_none(logs: Path, store: Store, state: object) -> None:
     drive(logs, store)
     with closing(sqlite3.connect(store.path)) as db, db:
-        db.execute("UPDATE tiles SET records = ?", (records,))
+        db.execute("UPDATE tiles SET state = ?", (state,))
     with pytest.raises(StoreError, match=r"tile \(0, .*\) is damaged"):
         list(store.read_tiles())
 
@@ -133,9 +132,9 @@ def test_a_tile_that_can_be_none_of_a_map(logs: Path, store: Store) -> None:
     import xxhash
 
     drive(logs, store)
-    raw = np.zeros(4096, CELL_DTYPE).tobytes()
+    raw = bytes(STATE_BYTES[0])
     with closing(sqlite3.connect(store.path)) as db, db:
-        db.execute("UPDATE tiles SET records = ?, digest = ?", (zstandard.compress(raw), xxhash.xxh3_128_digest(raw)))
+        db.execute("UPDATE tiles SET state = ?, digest = ?", (zstandard.compress(raw), xxhash.xxh3_128_digest(raw)))
     cut = store.read_cut()
     assert cut is not None
     with pytest.raises(StoreError, match=r"damaged .*expected a known cell"):

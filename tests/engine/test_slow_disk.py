@@ -18,7 +18,6 @@ from sequencers import sequencer_of
 from service_tools import T0, LoggedRun, cloud, config
 from spill_tools import leave
 
-from roughmap.tiles.slots import SLOT_BYTES
 from roughmap_schemas import IntegrationEvent, decode_event
 from roughmap_schemas.kinds import Kind
 from roughmap_service.answers.emptied_tiles import EmptiedHistory
@@ -32,7 +31,7 @@ from roughmap_service.inputs.queue import InputMessage, InputQueue
 from roughmap_service.offline.replay import replay
 from roughmap_service.store.map_db import Store
 from roughmap_service.store.memory_limit import MemoryLimit
-from roughmap_service.store.spill import Spill
+from roughmap_service.store.spill import SLICE_BYTES, Spill
 from roughmap_service.watch.status import RunProgress, Status
 
 NEAR, FAR, FARTHER, FARTHEST = 0, 10, 20, 30
@@ -151,7 +150,7 @@ def serving(where: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
             before.snapshot()
     disk = ReadStop(monkeypatch)
     with ExitStack() as stack:
-        spill = stack.enter_context(Spill(folder / "tiles.spill", 100 * SLOT_BYTES))
+        spill = stack.enter_context(Spill(folder / "tiles.spill", 100 * SLICE_BYTES))
         recovered = recover(config(), folder / "log", store, memory=MemoryLimit(1 << 40, spill))
         run = stack.enter_context(LoggedRun(folder / "log", recovered=recovered, store=store, spill=spill))
         if where == "spill":

@@ -17,7 +17,7 @@ from roughmap_service.formats.recorded import CloudFileFault, PlacedPoints
 from roughmap_service.journal.reader import LogError, is_closed, last_log_time, raw_records, read_file
 from roughmap_service.journal.repair import repair
 from roughmap_service.journal.run_files import find_files, one_run, read_run
-from roughmap_service.store.map_db import TILE_BYTES, Store, StoreError, tile_checksum
+from roughmap_service.store.map_db import STATE_BYTES, Store, StoreError, tile_checksum
 from roughmap_service.store.stored_tiles import read_index
 
 
@@ -78,9 +78,9 @@ def log(payload: bytes) -> None:
 def blob(payload: bytes) -> None:
     """A tile's bytes in the store, with a right digest and a wrong one."""
     store = Store(Path("map.db"))
-    for digest in (payload[:16], xxhash.xxh3_128_digest(bytes(TILE_BYTES))):
+    for digest in (payload[:16], *(xxhash.xxh3_128_digest(bytes(size)) for size in STATE_BYTES)):
         with contextlib.suppress(StoreError):
-            assert store.unpack(0, 0, digest, payload[16:]).nbytes == TILE_BYTES
+            assert store.unpack(0, 0, digest, payload[16:]).nbytes in STATE_BYTES
 
 
 def store(payload: bytes) -> None:
@@ -105,7 +105,7 @@ def stored(payload: bytes) -> None:
         checksum = tile_checksum(np.array(values[2:6], np.int64))
     with contextlib.closing(sqlite3.connect(path)) as db, db:
         db.execute("CREATE TABLE cut (name, value)")
-        db.execute("CREATE TABLE tiles (tx, ty, oldest_ns, newest_ns, checksum, digest, records)")
+        db.execute("CREATE TABLE tiles (tx, ty, oldest_ns, newest_ns, checksum, digest, state)")
         db.executemany("INSERT INTO cut VALUES (?, ?)", [tuple(values[:2]), ("state_version", values[2])])
         db.execute("INSERT INTO tiles VALUES (?, ?, ?, ?, ?, ?, ?)", (*values[2:6], checksum, *values[6:8]))
     store(path.read_bytes())

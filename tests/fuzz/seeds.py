@@ -16,6 +16,7 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from mcap.writer import CompressionType, Writer
 from targets import CORPUS, TARGETS
 
+from roughmap.cell import STATE_VERSION
 from roughmap_schemas import (
     CheckpointEvent,
     Config,
@@ -32,7 +33,7 @@ from roughmap_schemas import (
     model_bytes,
 )
 from roughmap_schemas.grid import encode_grid
-from roughmap_service.store.map_db import SCHEMA, TILE_BYTES, _checksum, tile_checksum
+from roughmap_service.store.map_db import SCHEMA, STATE_BYTES, _checksum, tile_checksum
 
 T0 = 1_700_000_000 * 10**9
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -115,13 +116,13 @@ def a_log(compression: CompressionType, *, checksums: bool, closed: bool = True)
 
 
 def stores() -> list[bytes]:
-    raw = bytes(TILE_BYTES)
+    raw = bytes(STATE_BYTES[0])
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "map.db"
         with closing(sqlite3.connect(path)) as db, db:
             db.execute("PRAGMA page_size = 512")
             db.executescript(SCHEMA)
-            texts = {"run": json.dumps(RUN), "state_version": "1", "epoch": "1"}
+            texts = {"run": json.dumps(RUN), "state_version": str(STATE_VERSION), "epoch": "1"}
             db.executemany("INSERT INTO cut VALUES (?, ?)", [*texts.items(), ("checksum", _checksum(texts))])
             checksum = tile_checksum(np.array([0, 0, 0, T0]))
             tile = (0, 0, 0, T0, checksum, xxhash.xxh3_128_digest(raw), zstandard.compress(raw))
@@ -174,7 +175,10 @@ def corpus() -> dict[str, list[bytes]]:
             a_log(none, checksums=True), a_log(none, checksums=False), a_log(zstd, checksums=False),
             a_log(lz4, checksums=False), a_log(none, checksums=True, closed=False),
         ],
-        "blob": [bytes(16) + zstandard.compress(bytes(TILE_BYTES)), bytes(16) + zstandard.compress(b"a" * 100)],
+        "blob": [
+            *(bytes(16) + zstandard.compress(bytes(size)) for size in STATE_BYTES),
+            bytes(16) + zstandard.compress(b"a" * 100),
+        ],
         "store": stores(),
         "stored": [
             b'trun\nt"a"\ni1\ni0\ni0\ni0\ni5\nb0123456789abcdef\nbxyz', b"i7\nf1.5\nbz\nf2.5\nn\ni9223372036854775807",

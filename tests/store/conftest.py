@@ -5,11 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from roughmap.tiles.slots import SLOT_BYTES
-from roughmap_service.store.spill import Spill
+from roughmap_service.store.spill import SLICE_BYTES, Spill
 
 
 @pytest.fixture
 def spill(tmp_path: Path) -> Iterator[Spill]:
-    with Spill(tmp_path / "tiles.spill", 1000 * SLOT_BYTES) as opened:
+    with Spill(tmp_path / "tiles.spill", 1000 * SLICE_BYTES) as opened:
         yield opened

@@ -127,7 +127,7 @@ def test_a_damaged_store_is_rebuilt(logs: Path, store: Store, what: str, caplog:
     with closing(sqlite3.connect(store.path)) as db, db:
         db.execute("PRAGMA journal_mode = DELETE")
         if what == "tile":
-            db.execute("UPDATE tiles SET records = x'00'")
+            db.execute("UPDATE tiles SET state = x'00'")
         elif what == "cut":
             db.execute("UPDATE cut SET value = replace(value, '0.3', '0.4') WHERE name = 'poses'")
         elif what == "row":
@@ -145,7 +145,7 @@ def test_a_damaged_store_that_no_log_can_replace_is_left_alone(logs: Path, store
     three_files(logs, store)
     sorted(logs.iterdir())[0].unlink()
     with closing(sqlite3.connect(store.path)) as db, db:
-        db.execute("UPDATE tiles SET records = x'00'")
+        db.execute("UPDATE tiles SET state = x'00'")
     with pytest.raises(StoreError, match="is damaged"):
         recover(config(), logs, store)
     assert store.exists()

@@ -14,7 +14,7 @@ from spill_tools import leave
 from roughmap import RoughMap, TooManyTiles
 from roughmap.tiles.slots import SLOT_BYTES
 from roughmap_service.store.memory_limit import MemoryLimit, memory_bytes
-from roughmap_service.store.spill import Spill
+from roughmap_service.store.spill import SLICE_BYTES, Spill
 
 
 def pressed(spill: Spill, m: RoughMap) -> tuple[MemoryLimit, Callable[[], None]]:
@@ -39,7 +39,7 @@ def test_memory_is_relieved_down_to_the_low_mark_and_then_left_alone(spill: Spil
 
 
 def test_what_leaves_memory_is_given_back_to_the_system(spill: Spill) -> None:
-    """Tiles full of points, which lie in huge pages where there are some: 200 of 256 KiB, less what else moves."""
+    """Tiles full of points, which lie in huge pages where there are some: 200 of 336 KiB, less what else moves."""
     m = RoughMap(error_model="point", threads=1, shelf=spill)
     cells = np.stack(np.meshgrid(np.arange(64), np.arange(64)), axis=-1).reshape(-1, 2) * 0.1 + 0.05
     for n in range(201):
@@ -63,7 +63,7 @@ def test_where_tiles_cannot_leave_the_memory_says_full_until_they_can(
     disk = SpillDisk()
     disk.left = 0
     monkeypatch.setattr("roughmap_service.store.memory_limit.RETRY_SECONDS", 0.0)
-    with Spill(tmp_path / "tiles", 1000 * SLOT_BYTES, write=disk.write) as spill:
+    with Spill(tmp_path / "tiles", 1000 * SLICE_BYTES, write=disk.write) as spill:
         m = RoughMap(error_model="point", threads=1, shelf=spill)
         memory, relieve = pressed(spill, m)
         for x in range(40):
@@ -98,14 +98,14 @@ def test_while_readers_hold_all_tiles_what_comes_leaves(spill: Spill) -> None:
 
 
 def test_a_file_that_may_not_grow_is_a_full_one(tmp_path: Path) -> None:
-    with Spill(tmp_path / "tiles", 10 * SLOT_BYTES) as spill:
+    with Spill(tmp_path / "tiles", 10 * SLICE_BYTES) as spill:
         m = RoughMap(error_model="point", threads=1, shelf=spill)
         memory, relieve = pressed(spill, m)
         for x in range(60):
             m.add([[6.4 * x + 0.1, 0.0, 0.0]])
             relieve()
         assert (memory.ok, memory.full, m.resident_tiles) == (False, True, 50)
-        assert spill.path.stat().st_size <= 10 * SLOT_BYTES
+        assert spill.path.stat().st_size <= 10 * SLICE_BYTES
 
 
 def test_no_memory_to_choose_what_leaves_is_no_end(spill: Spill, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,10 +13,9 @@ from properties import examples
 from spill_tools import FAR, S, filled, ground, leave, leave_all, tiles_of
 
 from roughmap import RoughMap
-from roughmap.arrays import Records
 from roughmap.reading.layers import LAYERS
-from roughmap.tiles.slots import SLOT_BYTES
-from roughmap_service.store.spill import Spill
+from roughmap.tiles.state import TileState
+from roughmap_service.store.spill import SLICE_BYTES, Spill
 
 ALL = (-20.0, -20.0, 20.0, 20.0)
 
@@ -45,7 +44,7 @@ steps = st.lists(
 def test_a_map_that_spills_equals_one_that_does_not(todo: list[tuple[str, int, float]]) -> None:
     """Points, readings (some held over what follows), tiles that leave, and resets, in any order."""
     with TemporaryDirectory() as folder, ExitStack() as stack:
-        spill = stack.enter_context(Spill(Path(folder) / "tiles", 1000 * SLOT_BYTES))
+        spill = stack.enter_context(Spill(Path(folder) / "tiles", 1000 * SLICE_BYTES))
         with_spill, without = RoughMap(levels=4, threads=1, shelf=spill), RoughMap(levels=4, threads=1)
         held = []
         for what, number, reach in todo:
@@ -131,9 +130,9 @@ def test_the_longest_unused_leave_first(spill: Spill, monkeypatch: pytest.Monkey
     assert leave(m, 2) == 2
     asked, left, read = [0], [], spill.read
 
-    def note(place: int, records: Records) -> None:
+    def note(place: int, room: TileState) -> bool:
         left.append(asked[0])
-        read(place, records)
+        return read(place, room)
 
     monkeypatch.setattr(spill, "read", note)
     with m.freeze() as frozen:
@@ -177,10 +176,10 @@ def test_tiles_come_back_before_anybody_has_to_wait(spill: Spill, monkeypatch: p
     leave_all(m)
     lock, true, back = threading.Lock(), spill.read, list[int]()
 
-    def read(place: int, records: Records) -> None:
+    def read(place: int, room: TileState) -> bool:
         assert not lock.locked()
         back.append(place)
-        true(place, records)
+        return true(place, room)
 
     monkeypatch.setattr(spill, "read", read)
     prepared = m.prepare_points(ground(3), S, 10**9, reader_lock=lambda: lock)

@@ -8,8 +8,7 @@ import pytest
 from disks import SpillDisk
 from spill_tools import FAR, S, filled, ground, leave, leave_all, tiles_of
 
-from roughmap.tiles.slots import SLOT_BYTES
-from roughmap_service.store.spill import Spill, SpillError
+from roughmap_service.store.spill import SLICE_BYTES, Spill, SpillError
 
 
 def test_the_file_grows_no_further_than_tiles_are_spilled_at_once(spill: Spill) -> None:
@@ -25,7 +24,7 @@ def test_the_file_grows_no_further_than_tiles_are_spilled_at_once(spill: Spill) 
 @pytest.mark.parametrize("left", [0, 1, 20])
 def test_a_full_disk_loses_no_tile(tmp_path: Path, left: int) -> None:
     disk = SpillDisk()
-    with Spill(tmp_path / "tiles", 1000 * SLOT_BYTES, write=disk.write) as spill:
+    with Spill(tmp_path / "tiles", 1000 * SLICE_BYTES, write=disk.write) as spill:
         m = filled(spill)
         m.add(FAR, S, 10**9)
         was, tiles = m.digest(), tiles_of(m)
@@ -41,7 +40,7 @@ def test_a_full_disk_loses_no_tile(tmp_path: Path, left: int) -> None:
 
 
 def test_a_short_write_is_a_full_disk(tmp_path: Path) -> None:
-    with Spill(tmp_path / "tiles", 10 * SLOT_BYTES, write=lambda *_: 100) as spill:
+    with Spill(tmp_path / "tiles", 10 * SLICE_BYTES, write=lambda *_: 100) as spill:
         m = filled(spill)
         m.add(FAR, S, 10**9)
         with pytest.raises(OSError, match="space"):
@@ -68,7 +67,7 @@ def test_what_is_not_as_it_was_written_is_found(spill: Spill) -> None:
     assert (m.digest(), m.sequence, m.resident_tiles) == (was, sequence, 1)
 
 
-@pytest.mark.parametrize("number", range(5))
+@pytest.mark.parametrize("number", range(6))
 def test_places_for_which_there_is_no_memory(spill: Spill, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     calls, true = iter(range(100)), np.append
 
@@ -92,20 +91,20 @@ def test_places_for_which_there_is_no_memory(spill: Spill, monkeypatch: pytest.M
 
 def test_the_file_is_created_at_the_start_and_removed_at_the_end(tmp_path: Path) -> None:
     path = tmp_path / "deep" / "tiles"
-    with Spill(path, 10 * SLOT_BYTES), pytest.raises(SpillError, match="another service"):
-        Spill(path, 10 * SLOT_BYTES)
+    with Spill(path, 10 * SLICE_BYTES), pytest.raises(SpillError, match="another service"):
+        Spill(path, 10 * SLICE_BYTES)
     assert not path.exists()
     path.write_bytes(b"left over" * 100)
     path.chmod(0o666)
     other_name = tmp_path / "of somebody else"
     other_name.hardlink_to(path)
-    with Spill(path, 10 * SLOT_BYTES), other_name.open("rb") as left:
+    with Spill(path, 10 * SLICE_BYTES), other_name.open("rb") as left:
         assert path.stat().st_size == 0
         assert path.stat().st_mode & 0o777 == 0o600, "who laid the old one there, open to all, reads nothing in it"
         assert not path.samefile(other_name)
         assert left.read() == b"left over" * 100
     with pytest.raises(SpillError, match="spill_path"):
-        Spill(tmp_path, 10 * SLOT_BYTES)
+        Spill(tmp_path, 10 * SLICE_BYTES)
     with pytest.raises(SpillError, match="not a plain file"):
-        Spill(Path("/dev/null"), 10 * SLOT_BYTES)
+        Spill(Path("/dev/null"), 10 * SLICE_BYTES)
     assert Path("/dev/null").exists()

@@ -13,12 +13,12 @@ import pytest
 from service_tools import WAIT_S
 
 from roughmap import RoughMap
-from roughmap.tiles.digest import map_digest
+from roughmap.tiles.digest import digest_sum, map_digest
 from roughmap.tiles.slots import SLOT_BYTES
 from roughmap_service.run.view import View
 from roughmap_service.store.map_db import Cut, Store
 from roughmap_service.store.memory_limit import MemoryLimit
-from roughmap_service.store.spill import Spill
+from roughmap_service.store.spill import SLICE_BYTES, Spill
 
 SCANS = 150
 READERS = 3
@@ -83,7 +83,8 @@ def read(view: View, moments: Moments) -> None:
             rows = [np.frombuffer(bytes.fromhex(frozen.digest(x, y)), np.uint8) for x, y in tiles.tolist()]
             frozen.tile_layers(0, 0, ["slope", "traversability"])
         if rows:
-            moments.seen.append(((epoch, frozen.sequence), map_digest(tiles[:, 0], tiles[:, 1], np.array(rows))))
+            total = digest_sum(tiles[:, 0], tiles[:, 1], np.array(rows))
+            moments.seen.append(((epoch, frozen.sequence), map_digest(len(tiles), total)))
         moments.looked.release()
 
 
@@ -109,7 +110,7 @@ def test_readers_and_snapshots_see_whole_moments_while_tiles_come_and_go(
     def cut(epoch: int, sequence: int) -> Cut:
         return Cut("f" * 32, epoch, sequence, 0, 0, 1, {}, "")
 
-    with Spill(tmp_path / "tiles", 1000 * SLOT_BYTES) as spill:
+    with Spill(tmp_path / "tiles", 1000 * SLICE_BYTES) as spill:
         rough_map = RoughMap(threads=1, shelf=spill)
         rough_map.limit_cache(4 * SLOT_BYTES)
         view = Watched(rough_map, 1)

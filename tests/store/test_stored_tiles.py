@@ -12,16 +12,16 @@ import pytest
 from service_tools import WAIT_S, LoggedRun, cloud, config
 from spill_tools import leave
 
-from roughmap import CELL_DTYPE, RoughMap
+from roughmap import RoughMap
 from roughmap.reading.layers import LAYERS
-from roughmap.tiles.slots import SLOT_BYTES
+from roughmap.tiles.shelf import empty_state
 from roughmap_schemas import IntegrationEvent
 from roughmap_schemas.kinds import Kind
 from roughmap_service.engine.recovery import Recovered, recover
 from roughmap_service.offline.replay import replay
 from roughmap_service.store.map_db import Store, StoreError
 from roughmap_service.store.memory_limit import MemoryLimit
-from roughmap_service.store.spill import Spill
+from roughmap_service.store.spill import SLICE_BYTES, Spill
 from roughmap_service.store.stored_tiles import StoredTiles, set_index
 
 ALL = (-25.0, -25.0, 25.0, 25.0)
@@ -47,7 +47,7 @@ class Lazy:
     """What a start with a spill file brings back."""
 
     def __init__(self, logs: Path, store: Store, stack: ExitStack) -> None:
-        self.spill = stack.enter_context(Spill(logs / "tiles.spill", 1000 * SLOT_BYTES))
+        self.spill = stack.enter_context(Spill(logs / "tiles.spill", 1000 * SLICE_BYTES))
         self.memory = MemoryLimit(1 << 40, self.spill)
         self.recovered: Recovered = recover(config(), logs, store, memory=self.memory)
         self.map = self.recovered.run.map
@@ -100,7 +100,7 @@ def test_only_what_is_needed_is_read(
     begun(logs, store)
     read = []
     true = StoredTiles.read
-    monkeypatch.setattr(StoredTiles, "read", lambda self, n, records: (read.append(n), true(self, n, records)))
+    monkeypatch.setattr(StoredTiles, "read", lambda self, n, room: [read.append(n), true(self, n, room)][1])
     lazy = Lazy(logs, store, spills)
     assert lazy.map.digest()
     assert read == []
@@ -183,8 +183,8 @@ def test_a_snapshot_overwrites_nothing_that_is_still_read(
 def test_a_tile_that_was_damaged_is_found_when_it_is_needed(logs: Path, store: Store, spills: ExitStack) -> None:
     begun(logs, store)
     with closing(sqlite3.connect(store.path)) as db, db:
-        (blob,) = db.execute("SELECT records FROM tiles WHERE tx = 0 AND ty = -1").fetchone()
-        db.execute("UPDATE tiles SET records = ? WHERE tx = 0 AND ty = -1", (blob[:-9] + bytes(9),))
+        (blob,) = db.execute("SELECT state FROM tiles WHERE tx = 0 AND ty = -1").fetchone()
+        db.execute("UPDATE tiles SET state = ? WHERE tx = 0 AND ty = -1", (blob[:-9] + bytes(9),))
     lazy = Lazy(logs, store, spills)
     was = lazy.map.digest()
     lazy.map.add([[-1.0, 1.0, 0.0]], np.eye(3) * 1e-6, 10**9)
@@ -240,7 +240,7 @@ def test_many_stored_tiles_each_keep_their_own_cells(number: int, store: Store, 
     store.write_map(whole, {}, "digest", "a" * 32)
     cut = store.read_cut()
     assert cut is not None
-    with Spill(tmp_path / "tiles", 10 * SLOT_BYTES) as spill:
+    with Spill(tmp_path / "tiles", 10 * SLICE_BYTES) as spill:
         failed = StoredTiles(store)
         spill.release(spill.adopt(failed))  # the places of a start that failed come back in yet another order
         stored = StoredTiles(store)
@@ -279,10 +279,10 @@ def test_a_tile_for_which_there_is_no_memory_is_not_a_damaged_one(
             pass
 
     with closing(StoredTiles(store)) as stored:
-        records = np.zeros(4096, CELL_DTYPE)
+        room = empty_state()
         with monkeypatch.context() as patch:
             patch.setattr(stored, "_idle", deque([Full()]))
             with pytest.raises(MemoryError):
-                stored.read(0, records)
-        stored.read(0, records)
-        assert records["count"].any()
+                stored.read(0, room)
+        stored.read(0, room)
+        assert room.cells["count"].any()

@@ -12,13 +12,21 @@ import numpy as np
 import xxhash
 import zstandard
 
-from roughmap import CELL_DTYPE, STATE_VERSION, RoughMap
-from roughmap.arrays import I8, Records
+from roughmap import STATE_VERSION, RoughMap
+from roughmap.arrays import I4, I8
 from roughmap.reading.frozen import FrozenMap
+from roughmap.tiles.columns import COLUMN_BYTES
+from roughmap.tiles.digest import tile_digest
+from roughmap.tiles.slots import SLOT_BYTES
+from roughmap.tiles.state import TileState
 from roughmap_schemas.faults import ReportedError
 from roughmap_service.host.disk import make_directory, sync_directory
 
-TILE_BYTES = 64 * 64 * CELL_DTYPE.itemsize
+STATE_BYTES = SLOT_BYTES, SLOT_BYTES + COLUMN_BYTES
+"""Bytes of a tile's state, without a column and with one: its arrays, one after another."""
+
+LARGEST_BLOB = 2 * max(STATE_BYTES)
+"""No compressed state is longer."""
 
 COMPRESSION_LEVEL = 1
 """Fast rather than small: snapshots are taken while the robot drives."""
@@ -27,14 +35,17 @@ SCHEMA = """
 CREATE TABLE IF NOT EXISTS cut (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS tiles (
     tx INTEGER NOT NULL, ty INTEGER NOT NULL, oldest_ns INTEGER NOT NULL, newest_ns INTEGER NOT NULL,
-    checksum BLOB NOT NULL, digest BLOB NOT NULL, records BLOB NOT NULL, PRIMARY KEY (tx, ty)
+    checksum BLOB NOT NULL, digest BLOB NOT NULL, state BLOB NOT NULL, PRIMARY KEY (tx, ty)
 );
 """
 
 REMEDY = "move the file away to rebuild the map from the log"
 
+CHUNK_ROWS = 1 << 14
+"""Rows that are in memory as Python objects at a time."""
+
 READ_INDEX = "SELECT tx, ty, oldest_ns, newest_ns, checksum, digest"
-"""Selects everything stored of a tile except its records."""
+"""Selects everything stored of a tile except its state."""
 
 
 class StoreError(ReportedError):
@@ -80,14 +91,14 @@ class Cut:
 
 @dataclass(frozen=True, slots=True)
 class StoredTile:
-    """One tile as stored; ``records`` (4096,) CELL_DTYPE."""
+    """One tile as stored."""
 
     tx: int
     ty: int
     oldest_ns: int
     newest_ns: int
     digest: bytes
-    records: Records
+    state: TileState
 
 
 class Store:
@@ -126,10 +137,9 @@ class Store:
     def read_tiles(self) -> Iterator[StoredTile]:
         """Yield all tiles, each checked against its digest; StoreError names the first damaged one."""
         with self.connection() as db:
-            for *numbers, checksum, digest, blob in db.execute(f"{READ_INDEX}, records FROM tiles ORDER BY tx, ty"):
+            for *numbers, checksum, digest, blob in db.execute(f"{READ_INDEX}, state FROM tiles ORDER BY tx, ty"):
                 tx, ty, oldest, newest = self.verify_index([numbers], [checksum])[0].tolist()
-                records = self.unpack(tx, ty, digest, blob)
-                yield StoredTile(tx, ty, oldest, newest, digest, records)
+                yield StoredTile(tx, ty, oldest, newest, digest, self.unpack(tx, ty, digest, blob))
 
     def verify_index(self, numbers: Sequence[Sequence[object]], checksums: Sequence[object]) -> I8:
         """Return the tiles' stored tx, ty, oldest and newest stamp as (T, 4), verified against their checksums.
@@ -149,32 +159,39 @@ class Store:
         """Return the error for a store with impossible content."""
         return DamagedStore(f"{self.path}: damaged ({cause}); {REMEDY}")
 
-    def unpack(self, tx: int, ty: int, digest: object, blob: object) -> Records:
-        """Return a tile's (4096,) records; StoreError names the tile if they do not match its digest."""
+    def unpack(self, tx: int, ty: int, digest: object, blob: object) -> TileState:
+        """Return a tile's state; StoreError names the tile if it does not match its digest."""
         raw = b""
         with suppress(zstandard.ZstdError, TypeError):
-            if zstandard.frame_content_size(blob) == TILE_BYTES:  # type: ignore[arg-type] # before it is allocated
+            if zstandard.frame_content_size(blob) in STATE_BYTES:  # type: ignore[arg-type] # before it is allocated
                 raw = zstandard.ZstdDecompressor().decompress(blob)  # type: ignore[arg-type]
-        if len(raw) != TILE_BYTES or xxhash.xxh3_128_digest(raw) != digest:
+        if len(raw) not in STATE_BYTES or xxhash.xxh3_128_digest(raw) != digest:
             raise DamagedStore(f"{self.path}: tile ({tx}, {ty}) is damaged; {REMEDY}")
-        return np.frombuffer(raw, CELL_DTYPE)
+        return TileState.of_bytes(raw)
 
     def load_into(self, rough_map: RoughMap, cut: Cut) -> None:
         """Fill an empty map with the stored tiles, and set the cut's sequence."""
         rough_map.set_sequence(cut.sequence)
         for tile in self.read_tiles():
             try:
-                rough_map.load_tile(tile.tx, tile.ty, tile.records, tile.oldest_ns, tile.newest_ns, tile.digest)
+                rough_map.load_tile(tile.tx, tile.ty, tile.state, tile.oldest_ns, tile.newest_ns, tile.digest)
             except ValueError as error:
                 raise self.damaged(str(error)) from None
 
     def write(
-        self, cut: Cut, frozen: FrozenMap, after: int | None, progress: Callable[[], None] = lambda: None
+        self,
+        cut: Cut,
+        frozen: FrozenMap,
+        after: int | None,
+        progress: Callable[[], None] = lambda: None,
+        remaining: I4 | None = None,
     ) -> None:
         """Commit a cut with the tiles of ``frozen`` that changed after the sequence ``after``.
 
-        ``after`` None replaces all stored tiles by those of ``frozen``. ``progress`` is called at each tile. This is
-        one transaction: if anything fails, the store stays as it was. sqlite3.Error or OSError from the disk.
+        ``after`` None replaces all stored tiles by those of ``frozen``. ``remaining`` (T, 2): all tiles of the map, if
+        it has forgotten some since; stored ones that are not among them are deleted. ``progress`` is called at each
+        tile. This is one transaction: if anything fails, the store stays as it was. sqlite3.Error or OSError from the
+        disk.
         """
         pack = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL, write_checksum=True)
         make_directory(self.path.parent)
@@ -186,6 +203,8 @@ class Store:
             try:
                 if after is None:
                     db.execute("DELETE FROM tiles")
+                elif remaining is not None:
+                    _delete_others(db, remaining)
                 tiles = _rows(frozen, after, pack, progress)
                 db.executemany("INSERT OR REPLACE INTO tiles VALUES (?, ?, ?, ?, ?, ?, ?)", tiles)
                 db.execute("DELETE FROM cut")
@@ -277,6 +296,22 @@ def _checksum(texts: Mapping[str, str]) -> str:
     return xxhash.xxh3_128_hexdigest(json.dumps(sorted(texts.items())).encode())
 
 
+def _delete_others(db: sqlite3.Connection, remaining: I4) -> None:
+    """Delete all stored tiles but ``remaining`` (T, 2)."""
+    kept = _packed(remaining.astype(np.int64))
+    gone: list[list[int]] = []
+    rows = db.execute("SELECT tx, ty FROM tiles")
+    while part := rows.fetchmany(CHUNK_ROWS):
+        stored = np.array(part, np.int64)
+        gone += stored[~np.isin(_packed(stored), kept)].tolist()
+    db.executemany("DELETE FROM tiles WHERE tx = ? AND ty = ?", gone)
+
+
+def _packed(tiles: I8) -> I8:
+    """Return one number for each of the tiles (T, 2)."""
+    return (tiles[:, 0] << 32) + tiles[:, 1]
+
+
 def _rows(
     frozen: FrozenMap, after: int | None, pack: zstandard.ZstdCompressor, progress: Callable[[], None]
 ) -> Iterable[tuple[Any, ...]]:
@@ -284,7 +319,9 @@ def _rows(
         if after is not None and sequence <= after:
             continue
         progress()
-        raw = frozen.records(tx, ty).tobytes()
+        state = frozen.state(tx, ty)
+        assert state is not None  # noqa: S101 - one of the frozen map's own tiles
         numbers = (tx, ty, *frozen.stamps(tx, ty))
         checksum = tile_checksum(np.array(numbers, np.int64))
-        yield *numbers, checksum, bytes.fromhex(frozen.digest(tx, ty)), pack.compress(raw)
+        blob = pack.compress(b"".join(array.tobytes() for array in state.arrays))
+        yield *numbers, checksum, tile_digest(state), blob

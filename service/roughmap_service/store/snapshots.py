@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from roughmap.arrays import I4
 from roughmap.reading.frozen import FrozenMap
 from roughmap_schemas import Config, configuration_digest
 from roughmap_service.host.log_lines import note
@@ -116,8 +117,10 @@ class Snapshots:
             after = self.sequence if self._epoch_of_tiles == cut.epoch else None
             with self._view.reading() as rough_map:
                 frozen = rough_map.freeze(after=-1 if after is None else after)
+                forgot = after is not None and rough_map.forgotten_at > after
+                remaining = rough_map.tile_sequences()[0] if forgot else None
                 outdated = self._outdated()
-            args = cut, frozen, after, outdated
+            args = cut, frozen, after, outdated, remaining
             thread = threading.Thread(target=self._write, args=args, name="snapshot", daemon=True)
             thread.start()
         except (MemoryError, RuntimeError) as error:  # RuntimeError: no more threads
@@ -156,7 +159,7 @@ class Snapshots:
             time.sleep(READERS_SECONDS)
         return True
 
-    def _write(self, cut: Cut, frozen: FrozenMap, after: int | None, outdated: set[int]) -> None:
+    def _write(self, cut: Cut, frozen: FrozenMap, after: int | None, outdated: set[int], remaining: I4 | None) -> None:
         assert self._store is not None  # noqa: S101 - `offer` checked it
         try:
             if not self._writer.wait_synced(SYNC_SECONDS):
@@ -166,7 +169,7 @@ class Snapshots:
                 self.error = f"a reader still needs the stored tiles after {SYNC_SECONDS:g} s; trying again later"
                 return
             self._note_progress()
-            self._store.write(cut, frozen, after, self._note_progress)
+            self._store.write(cut, frozen, after, self._note_progress, remaining)
             self._progress = None
             self._epoch_of_tiles, self.sequence, self.error = cut.epoch, cut.sequence, ""
             if not self.ok:

@@ -13,15 +13,19 @@ from typing import Self
 import numpy as np
 import xxhash
 
-from roughmap.arrays import I4, I8, Records
-from roughmap.cell import CELL_DTYPE, TILE_CELLS
+from roughmap.arrays import I4, I8
+from roughmap.cell import TILE_CELLS
+from roughmap.tiles.columns import COLUMN_BYTES
 from roughmap.tiles.shelf import Shelf, runs_of
 from roughmap.tiles.slots import SLOT_BYTES
+from roughmap.tiles.state import TileState
 from roughmap_schemas.faults import ReportedError
 from roughmap_service.store.map_db import DamagedStore, StoreError
 from roughmap_service.store.stored_tiles import StoredTiles
 
-ROW_BYTES = TILE_CELLS * CELL_DTYPE.itemsize
+SLICE_BYTES = SLOT_BYTES + COLUMN_BYTES
+"""Bytes of the file for a tile, with or without a column."""
+
 NOWHERE, STORED = -1, -2
 """Values of `_slice` for a free place, and for a place whose tile is in the store."""
 
@@ -43,8 +47,9 @@ Write = Callable[[int, Sequence[memoryview], int], int]
 class Spill(Shelf):
     """The map's shelf, in a spill file of at most ``limit`` bytes. A context manager that creates and removes the file.
 
-    Each tile has a slice of 256 KiB of the file. Only its known rows are written, one after another; the rest of the
-    slice is a hole, which takes no disk space. Rows are not compressed: that would cost more time than it saves.
+    Each tile has a slice of 592 KiB of the file. Only the rows that hold something are written, one after another; the
+    rest of the slice is a hole, which takes no disk space. Rows are not compressed: that would cost more time than it
+    saves.
 
     Attributes:
         failure: the damage that a read found, in one line; "" if there is none.
@@ -56,12 +61,13 @@ class Spill(Shelf):
         self.path = path
         self.failure = ""
         self.store_damaged = False
-        self._max_slices = limit // SLOT_BYTES
+        self._max_slices = limit // SLICE_BYTES
         self._pwritev = write
         self._stored: StoredTiles | None = None
         self._number = np.zeros(0, np.int32)  # of a place: its tile's number in the store's index
         self._slice = np.zeros(0, np.int32)
-        self._rows = np.zeros(0, np.uint64)
+        self._known = np.zeros(0, np.uint64)
+        self._based = np.zeros(0, np.uint64)
         self._check = np.zeros(0, np.uint64)
         self._free_slices: list[int] = []
         self._slices = 0
@@ -74,10 +80,11 @@ class Spill(Shelf):
 
     def _grow(self, number: int = STEP) -> None:
         slices = np.append(self._slice, np.full(number, NOWHERE, np.int32))
-        rows = np.append(self._rows, np.zeros(number, np.uint64))
+        known = np.append(self._known, np.zeros(number, np.uint64))
+        based = np.append(self._based, np.zeros(number, np.uint64))
         check = np.append(self._check, np.zeros(number, np.uint64))
         self._extend(number)
-        self._slice, self._rows, self._check = slices, rows, check
+        self._slice, self._known, self._based, self._check = slices, known, based, check
 
     def allocate(self, number: int) -> I4:
         """Allocate places with a slice of the file each; MemoryError, and no change, beyond `room`."""
@@ -116,38 +123,37 @@ class Spill(Shelf):
         """Return the places in the store of tiles that have changed since, and that frozen maps may still read."""
         return np.flatnonzero((self._slice == STORED) & ~self.live)
 
-    def write(self, place: int, records: Records, rows: int) -> None:
+    def write(self, place: int, state: TileState, known: int, based: int) -> None:
         """See `Shelf.write`."""
-        data = records.view(np.uint8).data
-        parts = [data[start * ROW_BYTES : stop * ROW_BYTES] for start, stop in runs_of(rows)]
-        if self._pwritev(self._file, parts, int(self._slice[place]) * SLOT_BYTES) < rows.bit_count() * ROW_BYTES:
+        parts = _rows_of(state, known, based)
+        offset = int(self._slice[place]) * SLICE_BYTES
+        if self._pwritev(self._file, parts, offset) < sum(part.nbytes for part in parts):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
-        self._rows[place] = rows
+        self._known[place], self._based[place] = known, based
         self._check[place] = _checksum(parts)
 
-    def read(self, place: int, records: Records) -> None:
+    def read(self, place: int, room: TileState) -> bool:
         """See `Shelf.read`. SpillError or StoreError, which is also remembered as `failure`."""
         try:
             if self._slice[place] == STORED:
                 assert self._stored is not None  # noqa: S101 - `adopt` made the place
-                self._stored.read(int(self._number[place]), records)
-            else:
-                self._read_file(place, records)
+                return self._stored.read(int(self._number[place]), room)
+            return self._read_file(place, room)
         except (SpillError, StoreError) as error:
             self.failure = str(error)
             self.store_damaged = isinstance(error, DamagedStore)
             raise
 
-    def _read_file(self, place: int, records: Records) -> None:
-        rows = int(self._rows[place])
-        data = records.view(np.uint8).data
-        parts = [data[start * ROW_BYTES : stop * ROW_BYTES] for start, stop in runs_of(rows)]
+    def _read_file(self, place: int, room: TileState) -> bool:
+        known, based = int(self._known[place]), int(self._based[place])
+        parts = _rows_of(room, known, based)
         try:
-            read = os.preadv(self._file, parts, int(self._slice[place]) * SLOT_BYTES)
+            read = os.preadv(self._file, parts, int(self._slice[place]) * SLICE_BYTES)
         except OSError as error:
             raise SpillError(f"{self.path}: {error.strerror}; {REMEDY}") from None
-        if read < rows.bit_count() * ROW_BYTES or _checksum(parts) != int(self._check[place]):
+        if read < sum(part.nbytes for part in parts) or _checksum(parts) != int(self._check[place]):
             raise SpillError(f"{self.path}: a tile is damaged; {REMEDY}")
+        return bool(based)
 
     def close(self) -> None:
         """Remove the file."""
@@ -197,6 +203,15 @@ def _open_locked(path: Path, flags: int) -> int:
         os.close(file)
         raise
     return file
+
+
+def _rows_of(state: TileState, known: int, based: int) -> list[memoryview]:
+    """Return the bytes of the rows in use of a tile's arrays: cells, trust, column."""
+    parts = []
+    for array, rows in zip(state.arrays, (known, known, based), strict=False):
+        data, size = array.view(np.uint8).data, TILE_CELLS * array.itemsize
+        parts += [data[start * size : stop * size] for start, stop in runs_of(rows)]
+    return parts
 
 
 def _checksum(parts: Sequence[memoryview]) -> int:

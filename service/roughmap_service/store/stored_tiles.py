@@ -9,20 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from roughmap import RoughMap
-from roughmap.arrays import I4, I8, U1, Records
+from roughmap.arrays import I4, I8, U1
 from roughmap.tiles.shelf import copy_known_rows
-from roughmap_service.store.map_db import READ_ERRORS, READ_INDEX, TILE_BYTES, Cut, Store, read_error
+from roughmap.tiles.state import TileState
+from roughmap_service.store.map_db import CHUNK_ROWS, LARGEST_BLOB, READ_ERRORS, READ_INDEX, Cut, Store, read_error
 
-READ_TILE = "SELECT CASE WHEN length(records) <= ? THEN records END FROM tiles WHERE tx = ? AND ty = ?"
-"""Selects a tile's records, or NULL if they are longer than a bound: a damaged length must not become an allocation."""
-
-CHUNK_ROWS = 1 << 14
-"""Rows that are in memory as Python objects at a time."""
+READ_TILE = "SELECT CASE WHEN length(state) <= ? THEN state END FROM tiles WHERE tx = ? AND ty = ?"
+"""Selects a tile's state, or NULL if it is longer than a bound: a damaged length must not become an allocation."""
 
 
 @dataclass(frozen=True, eq=False)
 class TileIndex:
-    """The stored tiles without their records: (T,) ``tx``, ``ty``, ``oldest_ns``, ``newest_ns``; (T, 16) ``digest``."""
+    """The stored tiles without their cells: (T,) ``tx``, ``ty``, ``oldest_ns``, ``newest_ns``; (T, 16) ``digest``."""
 
     tx: I4
     ty: I4
@@ -53,7 +51,7 @@ def read_index(store: Store) -> TileIndex:
 
 
 class StoredTiles:
-    """Reads the records of tiles by their number in the index, from any number of threads without waiting.
+    """Reads tiles by their number in the index, from any number of threads without waiting.
 
     Each read has a connection of its own; there are as many as were ever needed at once, at most one per thread. One
     more is kept open without use: SQLite writes back its log, with all readers locked out, when the last connection is
@@ -71,8 +69,8 @@ class StoredTiles:
         except READ_ERRORS as error:
             raise read_error(store.path, error) from None
 
-    def read(self, number: int, records: Records) -> None:
-        """Read the tile ``number`` into (4096,) zeroed records.
+    def read(self, number: int, room: TileState) -> bool:
+        """Read the tile ``number`` into zeroed arrays; return whether it has a column.
 
         StoreError names a tile that is damaged or no longer the indexed one. MemoryError if memory is short.
         """
@@ -80,13 +78,15 @@ class StoredTiles:
         tx, ty = int(index.tx[number]), int(index.ty[number])
         try:
             with self._connection() as db:
-                row = db.execute(READ_TILE, (2 * TILE_BYTES, tx, ty)).fetchone()
+                row = db.execute(READ_TILE, (LARGEST_BLOB, tx, ty)).fetchone()
         except MemoryError:
             raise  # memory is short: `READ_TILE` does not ask for a damaged length
         except READ_ERRORS as error:
             raise read_error(self.store.path, error) from None
         blob = None if row is None else row[0]
-        copy_known_rows(self.store.unpack(tx, ty, index.digest[number].tobytes(), blob), records)
+        state = self.store.unpack(tx, ty, index.digest[number].tobytes(), blob)
+        copy_known_rows(state, room)
+        return state.column is not None
 
     @contextmanager
     def _connection(self) -> Iterator[sqlite3.Connection]:
