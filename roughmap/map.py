@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from roughmap.arrays import I4, I8, U1
 from roughmap.cell import TILE_CELLS
-from roughmap.integration.geometry import PointInput, placed_points, scan_points
+from roughmap.integration.geometry import PointInput, Shared, placed_points, scan_points
 from roughmap.integration.phases import AddReport, Prepared, phase_one, phase_two
 from roughmap.integration.workspace import Workspace
 from roughmap.points.scan import Limits, Noise, Scan
@@ -37,11 +37,12 @@ class RoughMap:
 
     ``cell_size``: metres. ``error_model``: "point", "cuboid" or "ellipsoid". ``coverage``: half extent of the error
     body in sigmas. ``min_radius``: smallest half extent, metres. ``min_distance``: smallest distance in eq. 16, metres.
-    ``min_share``: a cell counts if its share is at least this fraction of the point's largest share.
-    ``max_horizontal_radius`` (half extent) and ``max_vertical_sigma`` (standard deviation): metres, beyond which a
-    point is too uncertain. ``bounds``: (xmin, ymin, xmax, ymax) metres, half-open. ``levels``: number of levels, level
-    0 included. ``threads``: threads that share the work (None: numba's number). ``shelf``: storage for the tiles that
-    `spill` moves out of memory.
+    ``surface``: "ground", where cells hold the ground alone and columns what is above and below it; or "all", where
+    cells hold every point. ``min_share``: a cell counts if its share is at least this fraction of the point's largest
+    share. ``max_horizontal_radius`` (half extent) and ``max_vertical_sigma`` (standard deviation): metres, beyond which
+    a point is too uncertain. ``bounds``: (xmin, ymin, xmax, ymax) metres, half-open. ``levels``: number of levels,
+    level 0 included. ``threads``: threads that share the work (None: numba's number). ``shelf``: storage for the tiles
+    that `spill` moves out of memory.
 
     The same points, covariances and stamps in the same order give the same bytes of state, for any division into calls
     and any number of threads.
@@ -65,6 +66,7 @@ class RoughMap:
         threads: int | None = None,
         *,
         max_vertical_sigma: float = 0.5,
+        surface: str = "all",
         shelf: Shelf | None = None,
     ) -> None:
         self.settings = MapSettings(
@@ -78,6 +80,7 @@ class RoughMap:
             max_vertical_sigma=max_vertical_sigma,
             bounds=bounds,
             levels=levels,
+            surface=surface,
         )
         threads = numba.config.NUMBA_NUM_THREADS if threads is None else threads  # type: ignore[attr-defined]
         if not isinstance(threads, int) or not 1 <= threads <= 256:
@@ -150,6 +153,10 @@ class RoughMap:
         covariance: npt.ArrayLike | None = None,
         stamp_ns: npt.ArrayLike = 0,
         *,
+        common: npt.ArrayLike | None = None,
+        mount: npt.ArrayLike | None = None,
+        up: npt.ArrayLike | None = None,
+        pose_error_time: float = 5.0,
         offsets_ns: npt.ArrayLike | None = None,
         max_new_tiles: int | None = None,
         max_tiles: int | None = None,
@@ -159,14 +166,17 @@ class RoughMap:
         ``covariance``: (N, 3, 3), or (3, 3) for all points, in square metres and map axes; only the upper triangle is
         used. Required unless the model is "point", which ignores it. ``stamp_ns``: one integer or (N,), in [0, 2^32 s).
         ``offsets_ns`` (N,): added to the stamps; a point with an offset below 0 or above 1 s is rejected as `time`.
+        ``common``, ``mount``: one variance or (N,), square metres, of the heights from their poses, whose errors stay
+        alike for ``pose_error_time`` seconds, and from the mounting (None: 0; so do negative ones count). ``up`` (N,):
+        points that can't be ground, since their beams rise steeply (None: none). `georeference` tells all three.
         `TooManyTiles`, with no cell written, if the call would create more than ``max_new_tiles`` tiles or the map
         would have more than ``max_tiles``.
         """
-        return self.integrate(
-            self.prepare_points(
-                points, covariance, stamp_ns, offsets_ns=offsets_ns, max_new_tiles=max_new_tiles, max_tiles=max_tiles
-            )
-        )
+        prepared = self.prepare_points(
+            points, covariance, stamp_ns, common=common, mount=mount, up=up, pose_error_time=pose_error_time,
+            offsets_ns=offsets_ns, max_new_tiles=max_new_tiles, max_tiles=max_tiles,
+        )  # fmt: skip
+        return self.integrate(prepared)
 
     def add_scan(
         self,
@@ -193,6 +203,10 @@ class RoughMap:
         covariance: npt.ArrayLike | None = None,
         stamp_ns: npt.ArrayLike = 0,
         *,
+        common: npt.ArrayLike | None = None,
+        mount: npt.ArrayLike | None = None,
+        up: npt.ArrayLike | None = None,
+        pose_error_time: float = 5.0,
         offsets_ns: npt.ArrayLike | None = None,
         max_new_tiles: int | None = None,
         max_tiles: int | None = None,
@@ -204,7 +218,8 @@ class RoughMap:
         takes that lock for moments; it is not held while tiles are read from the shelf. An error leaves the map as it
         was. Call `integrate` next, under the lock.
         """
-        given = placed_points(points, covariance, stamp_ns, offsets_ns, self.settings, self._space)
+        shared = Shared(common, mount, up, pose_error_time)
+        given = placed_points(points, covariance, stamp_ns, offsets_ns, shared, self.settings, self._space)
         return self._prepare(given, max_new_tiles, max_tiles, reader_lock)
 
     def prepare_scan(
@@ -219,7 +234,7 @@ class RoughMap:
         reader_lock: ReaderLock = nullcontext,
     ) -> Prepared:
         """Do the same for an `add_scan`."""
-        given = scan_points(scan, trajectory, noise, limits or Limits(), self.settings, self._space)
+        given = scan_points(scan, trajectory, noise, limits or Limits(), False, self.settings, self._space)
         return self._prepare(given, max_new_tiles, max_tiles, reader_lock)
 
     def _prepare(
