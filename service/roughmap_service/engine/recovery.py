@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from roughmap import STATE_VERSION
-from roughmap_schemas import Config, ForgetEvent, ResetEvent
+from roughmap_schemas import Config, ResetEvent
 from roughmap_schemas.faults import ReportedError
 from roughmap_service.engine.newest_run import check_identity, goes_on, newest_run
 from roughmap_service.journal.file import FILE_NAME
@@ -49,7 +49,7 @@ class Recovered:
         index: of the run's next log file.
         epoch: the epoch of this start.
         cut: the store's, if there is one.
-        was_reset: whether the map or tiles of it were emptied since that cut.
+        was_reset: whether the map was emptied since that cut.
         not_before_ns: the next log file's ``created_ns`` must be at least this, so that this run is the newest in its
             folder even if the clock was set back.
         last_ns: log time of the run's last message.
@@ -297,5 +297,5 @@ def _fold_files(result: Recovered, files: list[RunFile], taken: int, low_water: 
                 if not warned:  # equal maps are promised within a release only
                     logger.warning("the log is of another version, and the map comes out different: %s", text)
                 warned = True
-            result.was_reset = result.was_reset or isinstance(item.event, ResetEvent | ForgetEvent)
+            result.was_reset = result.was_reset or isinstance(item.event, ResetEvent)
     return end
