@@ -126,6 +126,12 @@ class RoughMap:
         tx, ty, sequence = self._table.levels[level].select(box)
         return paired(tx, ty), sequence
 
+    def tile_stamps(self) -> tuple[I4, I8]:
+        """Return the (T, 2) level-0 tiles, ascending by (x, y), and the (T,) newest stamp of each, in ns."""
+        base = self._table.levels[0]
+        entries = base.entries(None)
+        return paired(base.tx[entries], base.ty[entries]), self._table.newest_ns[entries]
+
     def changed_tiles(self, level: int, after: int) -> tuple[I4, I8]:
         """Return the same for the tiles whose sequence is larger than ``after``."""
         index = self._table.levels[level]
