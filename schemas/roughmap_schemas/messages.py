@@ -162,13 +162,13 @@ class CellState(Message):
     min: Finite
     max: Finite
     inv_cf: Finite
-    variance: Finite = 0.0
+    variance: Known = 0.0
     """Variance of the mean height from errors that its points have in common: those of the poses."""
-    shared: Finite = 0.0
+    shared: Known = 0.0
     """Covariance of the mean height with the error of the present pose."""
-    pose_variance: Finite = 0.0
+    pose_variance: Known = 0.0
     """Mean variance of the points' heights from the poses."""
-    mount_sigma: Finite = 0.0
+    mount_sigma: Known = 0.0
     """Mean standard deviation of the points' heights from the mounting of the sensor."""
     supported: bool = False
     """Whether the ground was confirmed after points off it came."""

@@ -170,24 +170,50 @@ def test_status_has_every_member(served: Served) -> None:
     assert set(status) == {
         "contract", "map", "run", "instance", "epoch", "version", "frame_id", "cell_size", "tile_cells", "levels",
         "layers",
-        "bounds", "extent", "error_model", "configuration_digest", "health", "problems", "sequence",
+        "bounds", "extent", "error_model", "surface", "configuration_digest", "health", "problems", "sequence",
         "durable_sequence", "input",
         "newest_stamp_ns", "clouds", "points", "poses", "refused", "gaps", "jumps", "recent", "lag_s", "rates",
-        "memory_bytes", "tiles", "log", "uptime_s",
+        "memory_bytes", "tiles", "forgotten", "log", "uptime_s",
     }  # fmt: skip
     assert (status["epoch"], status["sequence"], status["tile_cells"]) == (5, served.map.sequence, 64)
     assert status["extent"] == list(served.map.extent() or ())
     assert get(served.asker, "maps/site/status?a=1").error() == "unknown_parameter"
 
 
+@pytest.mark.parametrize(
+    ("asked", "code"),
+    [
+        ("forget", "bad_parameter"),
+        ("forget?older=0", "bad_parameter"),
+        ("forget?bbox=1,1,0,0", "bad_bbox"),
+        ("forget?now=1", "unknown_parameter"),
+        ("forget?older=5;older=6", "bad_parameter"),
+    ],
+)
+def test_what_is_not_forgotten(served: Served, asked: str, code: str) -> None:
+    before = served.map.sequence
+    assert get(served.asker, f"maps/site/control/{asked}").error() == code
+    assert served.map.sequence == before
+
+
+def test_forgetting_a_box() -> None:
+    with Served() as served:
+        answer = get(served.asker, "maps/site/control/forget?bbox=-12.8,-6.4,-0.1,6.4").json()
+        assert answer == {"contract": "1.0", "sequence": 6, "epoch": 5, "tiles": 4}
+        assert get(served.asker, "maps/site/control/forget?bbox=-12.8,-6.4,-0.1,6.4").json()["tiles"] == 0
+        assert served.map.sequence == 6
+
+
 def test_control_is_asked_by_its_own_key_alone(served: Served) -> None:
-    assert get(served.asker, "maps/site/control/*").error() == "bad_key"
+    for parameters in ("", "?older=5"):
+        found = get(served.asker, f"maps/site/control/*{parameters}")
+        assert ([error["code"] for error in found.errors], found.ok) == (["bad_key", "bad_key"], [])
     assert get(served.asker, "maps/site/control/reset?now=1").error() == "unknown_parameter"
     assert served.view.epoch == 5
     assert get(served.asker, "maps/site/control/nothing") == get(served.asker, "maps/other/control/reset")
     before = served.map.sequence
     answer = get(served.asker, "maps/site/control/reset").json()
-    assert answer == {"contract": "1.0", "sequence": before + 1, "epoch": 6}
+    assert answer == {"contract": "1.0", "sequence": before + 1, "epoch": 6, "tiles": 0}
     (sample,) = get(served.asker, "maps/site/region?bbox=0,0,1,1").ok
     assert isinstance(sample, zenoh.Sample)
     assert RawTile(sample).info["epoch"] == 6

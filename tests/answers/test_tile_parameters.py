@@ -180,3 +180,25 @@ def test_emptied_tiles_are_reported_over_several_resets(changing: Served) -> Non
     found = tiles(changing, since=3, epoch=5)
     assert set(found) == first | second
     assert {tile.info["known_cells"] for tile in found.values()} == {0}
+
+
+def test_forgotten_tiles_answer_since_in_the_same_epoch(changing: Served) -> None:
+    """Who held them learns that they are gone, at each level; who asked later isn't told."""
+    held = tiles(changing, "*/*/*")
+    before = changing.map.sequence
+    sequence, epoch, number = changing.forget((-2, -1, -1, 0), None, "")
+    assert (sequence, epoch, number) == (before + 1, changing.epoch, 4)
+    now = tiles(changing, "*/*/*")
+    gone = set(held) - set(now)
+    assert {key for key in gone if key[0] == 0} == {(0, x, y) for x in (-2, -1) for y in (-1, 0)}
+    found = tiles(changing, "*/*/*", since=before, epoch=epoch, layers="mean_height,count")
+    assert {key for key, tile in found.items() if tile.info["known_cells"] == 0} == gone
+    for key in gone:
+        assert (found[key].info["sequence"], found[key].info["epoch"]) == (sequence, epoch)
+        assert np.isnan(found[key].layers()["mean_height"]).all()
+    above = {(z, x >> z, y >> z) for z in range(1, 8) for x in (-2, -1) for y in (-1, 0)}
+    assert above - gone <= set(found), "coarser tiles that lost a part have changed"
+    assert tiles(changing, "*/*/*", since=sequence, epoch=epoch) == {}
+    changing.add(some_points(300, 52), T0)
+    assert (0, -1, 0) in tiles(changing, since=sequence, epoch=epoch)
+    assert not {key for key, tile in tiles(changing, since=before, epoch=epoch).items() if not tile.info["known_cells"]}

@@ -126,6 +126,26 @@ def test_what_a_reset_emptied_is_published_once() -> None:
         assert len(emptied) == len(set(emptied))
 
 
+def test_what_was_forgotten_is_published_once() -> None:
+    heard: Gathered[zenoh.Sample] = Gathered()
+    with Served({"updates": {"update_hz": 50.0}}) as served, served.updates():
+        subscriber = served.asker.declare_subscriber("maps/site/updates/0/*/*", heard)
+        served.add(some_points(100, 9))
+        heard.wait(bool, "an update: the listener is known")
+        sequence, epoch, number = served.forget((-2, -1, -1, 0), None, "")
+
+        def gone(samples: list[zenoh.Sample]) -> list[RawTile]:
+            return [tile for tile in map(RawTile, samples) if tile.info["known_cells"] == 0]
+
+        heard.wait(lambda samples: len(gone(samples)) >= number, "every tile that is gone")
+        served.add(some_points(100, 10, (40.0, 0.0)))
+        heard.wait(lambda samples: RawTile(samples[-1]).info["map_sequence"] > sequence, "what came after")
+        subscriber.undeclare()
+    told = gone(heard.items)
+    assert sorted(tile.key for tile in told) == sorted((0, x, y) for x in (-2, -1) for y in (-1, 0))
+    assert {tile.info["epoch"] for tile in told} == {epoch}
+
+
 def test_a_round_holds_only_what_changed() -> None:
     """All other tiles may leave memory while updates are being published, and no scan has to copy them."""
     heard: Gathered[zenoh.Sample] = Gathered()

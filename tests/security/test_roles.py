@@ -198,6 +198,7 @@ CASES: dict[str, tuple[Attempt, frozenset[str]]] = {
         for key in ("maps/site/tiles/0/*/*", "maps/site/region", "maps/site/cells", "maps/site/status")
     },
     "snapshot": (asks("maps/site/control/snapshot"), OPERATOR),
+    "forget": (asks("maps/site/control/forget?bbox=500,500,501,501"), OPERATOR),
     "reset": (asks("maps/site/control/reset"), OPERATOR),
     "hear events": (hears("maps/site/events", "maps/site/events"), PLANNERS),
     "hear updates": (hears("maps/site/updates/*/*/*", "maps/site/updates/0/0/0"), PLANNERS),

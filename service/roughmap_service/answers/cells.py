@@ -6,11 +6,11 @@ from contextlib import contextmanager
 import numpy as np
 import numpy.typing as npt
 
-from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT
-from roughmap.reading.frozen import FrozenMap
+from roughmap.cell import BASED, CELL_DTYPE, SUPPORTED, TILE_CELLS, TILE_SHIFT
+from roughmap.tiles.state import TileState
 from roughmap_schemas.encodings import json_encoding
 from roughmap_schemas.faults import QueryFault
-from roughmap_schemas.messages import CellAnswer, CellEntry, CellState, model_bytes
+from roughmap_schemas.messages import CellAnswer, CellEntry, CellState, Hits, model_bytes
 from roughmap_schemas.reasons import QueryCode
 from roughmap_schemas.selectors import CellsQuery
 from roughmap_service.answers.map_reader import MapReader
@@ -19,6 +19,9 @@ from roughmap_service.answers.plan import INT32, TILE_AREA, Answer, Plan, Reply
 Cells = npt.NDArray[np.int64]
 
 ENCODING = json_encoding("CellAnswer")
+
+BIN_M = 0.05
+"""Height of a bin of a column, metres."""
 
 
 def plan_cells(reader: MapReader, parameters: str, payload: bytes) -> Plan:
@@ -55,6 +58,7 @@ def _read(reader: MapReader, asked: CellsQuery, cells: Cells) -> Iterator[Answer
         order = np.argsort(which.ravel(), kind="stable")
         starts = np.searchsorted(which.ravel()[order], np.arange(len(distinct) + 1))
         for number, (x, y) in enumerate(distinct.tolist()):
+            state_of_tile = frozen.state(x, y)
             layers = frozen.tile_layers(x, y, asked.layers, tolerance, limits)
             for place in order[starts[number] : starts[number + 1]].tolist():
                 i, j = cells[place].tolist()
@@ -64,7 +68,7 @@ def _read(reader: MapReader, asked: CellsQuery, cells: Cells) -> Iterator[Answer
                     y=asked.points[place][1],
                     i=i,
                     j=j,
-                    state=_state(frozen, x, y, row, column),
+                    state=_cell_state(state_of_tile, row, column),
                     layers={name: float(plane[row, column]) for name, plane in layers.items()},
                 )
     answer = CellAnswer(
@@ -77,9 +81,26 @@ def _read(reader: MapReader, asked: CellsQuery, cells: Cells) -> Iterator[Answer
     yield Answer(state.sequence, [Reply(reader.keys.cells, model_bytes(answer), ENCODING)])
 
 
-def _state(frozen: FrozenMap, x: int, y: int, row: int, column: int) -> CellState | None:
-    """Return a cell's record; None if no point ever hit it."""
-    record = frozen.records(x, y)[row, column]
-    if record["count"] == 0:
+TRUST_MEMBERS = ("variance", "shared", "pose_variance", "mount_sigma")
+
+
+def _cell_state(state: TileState | None, row: int, column: int) -> CellState | None:
+    """Return what the map holds of a cell; None if no point ever hit it."""
+    cell = row * TILE_CELLS + column
+    if state is None or state.cells[cell]["count"] == 0:
         return None
-    return CellState(**{name: record[name].item() for name in CELL_DTYPE.names or ()})
+    record, trust = state.cells[cell], state.trust[cell]
+    values = {name: record[name].item() for name in CELL_DTYPE.names or ()}
+    values |= {name: trust[name].item() for name in TRUST_MEMBERS}
+    if state.column is not None and state.column[cell]["flags"] & BASED:
+        values["supported"] = bool(state.column[cell]["flags"] & SUPPORTED)
+        values["off_ground"] = _hits(state.column[cell])
+    return CellState(**values)
+
+
+def _hits(column: np.void) -> list[Hits]:
+    """Return the bins of a column that hold a hit, ascending."""
+    low, high = column["bins"] & 15, column["bins"] >> 4
+    hits = np.stack((low, high), axis=-1).ravel()
+    first = 2 * int(column["base"])
+    return [Hits(height=(first + k + 0.5) * BIN_M, hits=int(hits[k])) for k in np.flatnonzero(hits).tolist()]

@@ -36,17 +36,19 @@ def plan_control(act: Callable[[], tuple[int, int]], key: str, asked_key: str, p
 
     ``asked_key`` must be ``key`` itself: a query with ``**`` must never reset the map.
     """
+    _expect_key(key, asked_key)
     _expect_no_parameters(parameters)
 
     def carry_out() -> ControlAnswer:
         sequence, epoch = act()
         return ControlAnswer(sequence=sequence, epoch=epoch)
 
-    return _plan_action(carry_out, key, asked_key)
+    return _plan_action(carry_out, key)
 
 
 def plan_forget(forget: Forget, cell_size: float, key: str, asked_key: str, parameters: str) -> Plan:
     """Return the plan of a query that erases tiles; ``asked_key`` as for `plan_control`."""
+    _expect_key(key, asked_key)
     asked = ForgetQuery.parse(parameters)
 
     def carry_out() -> ControlAnswer:
@@ -54,18 +56,20 @@ def plan_forget(forget: Forget, cell_size: float, key: str, asked_key: str, para
         sequence, epoch, tiles = forget(box, asked.older, f"an operator's request ({asked.format()})")
         return ControlAnswer(sequence=sequence, epoch=epoch, tiles=tiles)
 
-    return _plan_action(carry_out, key, asked_key)
+    return _plan_action(carry_out, key)
 
 
-def _plan_action(carry_out: Callable[[], ControlAnswer], key: str, asked_key: str) -> Plan:
-    if asked_key != key:
-        raise QueryFault(QueryCode.BAD_KEY, f"expected {key} without wildcards; found {asked_key[:200]!r}")
-
+def _plan_action(carry_out: Callable[[], ControlAnswer], key: str) -> Plan:
     def read() -> AbstractContextManager[Answer]:
         answer = carry_out()
         return nullcontext(Answer(answer.sequence, [Reply(key, model_bytes(answer), CONTROL_ENCODING)]))
 
     return Plan(0, read)
+
+
+def _expect_key(key: str, asked_key: str) -> None:
+    if asked_key != key:
+        raise QueryFault(QueryCode.BAD_KEY, f"expected {key} without wildcards; found {asked_key[:200]!r}")
 
 
 def _expect_no_parameters(text: str) -> None:
