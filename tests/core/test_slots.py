@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from roughmap.cell import BASED
+from roughmap.tiles.columns import COLUMN_BYTES, KEPT_COLUMNS
 from roughmap.tiles.slabs import SLAB_PLACES
 from roughmap.tiles.slots import SLOT_BYTES, TRUST_OFFSET, SlotPool
 from roughmap_service.store.memory_limit import memory_bytes
-
-COLUMN_BYTES = 4096 * 64
 
 
 def write(pool: SlotPool, slot: int, cells: np.ndarray, *, column: bool = True) -> None:
@@ -132,6 +131,8 @@ def test_columns_cost_the_rows_that_are_written_and_nothing_once_released() -> N
     full = memory_bytes()
     assert full - empty > 190 * (SLOT_BYTES + COLUMN_BYTES)
     pool.release(slots)
+    assert full - memory_bytes() > 190 * SLOT_BYTES + (190 - KEPT_COLUMNS) * COLUMN_BYTES
+    pool.trim()
     assert full - memory_bytes() > 190 * (SLOT_BYTES + COLUMN_BYTES)
 
 
