@@ -4,10 +4,13 @@ import numpy as np
 
 from roughmap.arrays import I4, Flags, Records
 from roughmap.cell import COLUMN_DTYPE, TILE_CELLS
-from roughmap.tiles.rows import COLUMN_ROW, based_rows, copy_rows
+from roughmap.tiles.rows import COLUMN_ROW, based_rows, clear_based_rows, copy_rows
 from roughmap.tiles.slabs import SLAB_PLACES, Slabs
 
 COLUMN_BYTES = TILE_CELLS * TILE_CELLS * COLUMN_DTYPE.itemsize
+
+KEPT_COLUMNS = 96
+"""Free places that keep their memory for copies, at most 24 MiB: page faults would cost more than the copies."""
 
 
 class Columns:
@@ -23,14 +26,15 @@ class Columns:
 
     def __init__(self) -> None:
         self._slabs = Slabs(COLUMN_BYTES)
-        self._free: list[int] = []
+        self._free: list[int] = []  # all zero, without memory
+        self._kept: list[int] = []  # free places that kept their memory and its content
         self._place = np.zeros(0, np.int32)  # of a slot, -1 if it has none
         self.address = np.zeros(0, np.uint64)
 
     @property
     def used(self) -> int:
         """Number of slots with a column."""
-        return len(self._slabs.address) - len(self._free)
+        return len(self._slabs.address) - len(self._free) - len(self._kept)
 
     def extend(self, first: int, number: int) -> None:
         """Add ``number`` slots without a column, from ``first`` on; MemoryError, and no change, if that fails."""
@@ -42,20 +46,24 @@ class Columns:
         """Return which of these slots have a column."""
         return self._place[slots] >= 0
 
-    def take(self, slots: I4) -> None:
+    def take(self, slots: I4, *, for_copies: bool = False) -> None:
         """Give each of these slots, which have none, a zeroed column that takes no memory before it is written.
 
-        MemoryError, and no change, if that is not possible.
+        ``for_copies``: it may take memory already. MemoryError, and no change, if that is not possible.
         """
-        while len(self._free) < len(slots):
+        again = min(len(self._kept), len(slots)) if for_copies else 0
+        fresh = len(slots) - again
+        while len(self._free) < fresh:
             first = len(self._slabs.address)
             free = [*range(first + SLAB_PLACES - 1, first - 1, -1), *self._free]
             self._slabs.grow(first, huge_pages=False)
             self._free = free
-        places = self._free[len(self._free) - len(slots) :]
-        del self._free[len(self._free) - len(slots) :]
+        places = self._kept[len(self._kept) - again :] + self._free[len(self._free) - fresh :]
+        del self._kept[len(self._kept) - again :], self._free[len(self._free) - fresh :]
         self._place[slots] = places
         self.address[slots] = self._slabs.address[self._place[slots]]
+        for address in self.address[slots[:again]]:
+            clear_based_rows(address)
 
     def drop(self, slots: I4) -> None:
         """Take back the columns of those of these slots that have one; nothing was written to them."""
@@ -67,11 +75,23 @@ class Columns:
     def release(self, slot: int) -> None:
         """Take back a slot's column, if it has one."""
         place = int(self._place[slot])
-        if place >= 0:
-            self._slabs.give_back(place)
-            self._free.append(place)
-            self._place[slot] = -1
-            self.address[slot] = 0
+        if place < 0:
+            return
+        if len(self._kept) < KEPT_COLUMNS:
+            self._kept.append(place)
+        else:
+            self._give_back(place)
+        self._place[slot] = -1
+        self.address[slot] = 0
+
+    def _give_back(self, place: int) -> None:
+        self._slabs.give_back(place)
+        self._free.append(place)
+
+    def trim(self) -> None:
+        """Return the memory of all free places, because memory is short."""
+        while self._kept:
+            self._give_back(self._kept.pop())
 
     def copy(self, source: int, target: int, known: int) -> None:
         """Copy a slot's column to another slot's, which is zeroed. ``known``: as for :meth:`rows`."""

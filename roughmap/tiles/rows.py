@@ -55,6 +55,19 @@ def based_rows(address: Scalar, rows: Scalar) -> int:
 
 
 @kernel
+def clear_based_rows(address: Scalar) -> None:
+    """Set those rows of the column at ``address`` to zero that hold a based cell; all others are zero."""
+    column = _words(address, TILE_CELLS * COLUMN_ROW)
+    for j in range(TILE_CELLS):
+        based = np.uint64(0)
+        for i in range(TILE_CELLS):
+            based |= column[j * COLUMN_ROW + i * _COLUMN_WORDS]
+        if based & _BASED:
+            for k in range(COLUMN_ROW):
+                column[j * COLUMN_ROW + k] = 0
+
+
+@kernel
 def copy_rows(source: Scalar, target: Scalar, rows: Scalar, row_words: int) -> None:
     """Copy ``rows``, of ``row_words`` words each, of an array at ``source`` to the one at ``target``."""
     size = np.int64(row_words)

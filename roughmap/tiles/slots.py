@@ -141,7 +141,7 @@ class SlotPool(PlacePool):
         dense = self.dense[slots] | (np.array([known.bit_count() for known in rows]) >= DENSE_ROWS)
         copies = self.allocate(len(slots), dense)
         try:
-            self._columns.take(copies[self._columns.of(slots)])
+            self._columns.take(copies[self._columns.of(slots)], for_copies=True)
         except MemoryError:
             self.release(copies)
             raise
@@ -167,6 +167,7 @@ class SlotPool(PlacePool):
         """Return the memory of all free slots, because memory is short."""
         while self._written:
             self._slabs.give_back(self._written.pop())
+        self._columns.trim()
 
     def writable(self, slot: int) -> TileState:
         """Return views of the slot's arrays."""

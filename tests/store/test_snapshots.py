@@ -62,6 +62,21 @@ def test_no_snapshot(
         assert recover(run.config, tmp_path / "log", store).run.map.digest() == run.run.map.digest()
 
 
+def test_what_was_forgotten_is_forgotten_after_a_start(tmp_path: Path) -> None:
+    """Tiles that a snapshot had stored; the next one may be the last thing that the run did."""
+    store = Store(tmp_path / "map.db")
+    with LoggedRun(tmp_path / "log", store=store) as run:
+        run.put(Kind.POINTS, cloud(1.0, frame="map", points=[[1.0, 1.0, 0.0], [40.0, 1.0, 0.0]]))
+        run.decide()
+        run.snapshot()
+        assert run.run.map.forget([(6, 0)]) == 1
+        run.snapshot()
+    assert [(tile.tx, tile.ty) for tile in store.read_tiles()] == [(0, 0)]
+    cut = store.read_cut()
+    assert cut is not None
+    assert (cut.sequence, cut.digest) == (2, run.run.map.digest())
+
+
 def test_a_snapshot_that_fails_lets_no_file_of_the_log_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The store is still the one before it, and may need them."""
     store = Store(tmp_path / "map.db")

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roughmap import RoughMap
+from roughmap import CELL_DTYPE, RoughMap
+from roughmap.cell import BASED, COLUMN_DTYPE, TRUST_DTYPE
+from roughmap.tiles.state import TileState
 from roughmap_service.store.map_db import Cut, DamagedStore, OtherStateVersion, Store, StoreError, tile_checksum
 from roughmap_service.store.stored_tiles import read_index
 
@@ -70,6 +72,44 @@ def test_only_what_changed_is_written(store: Store, ground: RoughMap) -> None:
     assert read(store).digest() == ground.digest()
     write(store, ground)
     assert {tile.oldest_ns for tile in store.read_tiles() if (tile.tx, tile.ty) == (-3, -3)} == {5_000_000_007}
+
+
+def test_cells_trust_and_columns_come_back(store: Store) -> None:
+    """Two tiles, of which one has a column."""
+    rng = np.random.default_rng(4)
+    states = []
+    for with_column in (True, False):
+        cells, trust, column = (np.zeros(4096, dtype) for dtype in (CELL_DTYPE, TRUST_DTYPE, COLUMN_DTYPE))
+        known = rng.choice(4096, 900, replace=False)
+        cells["count"][known], cells["mean"][known] = 1, rng.normal(size=900)
+        trust["variance"][known], trust["stamp_ms"][known] = rng.uniform(size=900), 2**32 - 1
+        column["flags"][known[:80]], column["bins"][known[:80]] = BASED, rng.integers(0, 256, (80, 40))
+        states.append(TileState(cells, trust, column if with_column else None))
+    was = RoughMap(error_model="point")
+    for x, state in enumerate(states):
+        was.load_tile(x, 0, state, 3, 4)
+    write(store, was)
+    back = read(store)
+    assert back.digest() == was.digest()
+    with back.freeze() as frozen:
+        for x, state in enumerate(states):
+            found = frozen.state(x, 0)
+            assert found is not None
+            assert [a.tobytes() for a in found.arrays] == [a.tobytes() for a in state.arrays]
+
+
+def test_forgotten_tiles_are_deleted(store: Store, ground: RoughMap) -> None:
+    """With the next write of what changed: the forgotten ones alone, not those that came anew."""
+    write(store, ground)
+    before, every = ground.sequence, {(tile.tx, tile.ty) for tile in store.read_tiles()}
+    assert ground.forget([(-3, -3), (0, 0), (2, 1)]) == 3
+    ground.add([[0.05, 0.05, 1.0]], stamp_ns=6_000_000_000)
+    with ground.freeze(after=before) as frozen:
+        cut = replace(CUT, sequence=ground.sequence)
+        store.write(cut, frozen, before, remaining=ground.tile_sequences()[0])
+    assert {(tile.tx, tile.ty) for tile in store.read_tiles()} == every - {(-3, -3), (2, 1)}
+    back = read(store)
+    assert (back.digest(), back.tile_count) == (ground.digest(), len(every) - 2)
 
 
 def test_after_a_reset_nothing_old_is_left(store: Store, ground: RoughMap) -> None:
