@@ -45,7 +45,8 @@ def not_kept(rough_map: RoughMap, robots: Iterable[Robot], settings: Settings, n
         centre = (tiles + 0.5) * (TILE_CELLS * rough_map.cell_size)
         far = np.ones(len(tiles), np.bool_)
         for x, y, _ in places:
-            far &= np.hypot(centre[:, 0] - x, centre[:, 1] - y) > settings.keep_radius
+            along_x, along_y = centre[:, 0] - x, centre[:, 1] - y
+            far &= np.sqrt(along_x * along_x + along_y * along_y) > settings.keep_radius
         forgotten |= far
     return tiles[forgotten]
 
