@@ -138,6 +138,8 @@ FAULTS = {
         Drive(covariance=lambda t: diagonal(1e-4, 1e-4, 0, 0, 0, 1e-4)), "note",
         "the covariance says that z, roll and pitch are exact (variance 0)"),
     "no covariance": Fault(Drive(covariance=lambda t: None), "note", "400 of 400 poses have no covariance"),
+    "dead reckoning alone": Fault(
+        Drive(frame="odom"), "note", "odometry in 'odom', the map's own frame, drifts", {"map": {"frame_id": "odom"}}),
     "a frame with a slash": Fault(
         Drive(frame="/map"), "wrong", "odometry in frame '/map' is rejected (pose_frame): the map's frame is 'map'"),
     "no transform": Fault(

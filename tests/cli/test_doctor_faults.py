@@ -27,6 +27,12 @@ from roughmap_service.cli.doctor.findings import Finding
 from roughmap_service.cli.doctor.traffic import Message
 
 
+CONFIDENCE = (
+    "the poses' heights have a sigma of 0.01 m, and their errors last for 5 s (pose_error_time): the map's confidence is "
+    "as true as these two are"
+)
+
+
 def not_well(found: list[Finding]) -> list[tuple[str, str]]:
     """Verdict and words of all that is not well."""
     return [(finding.verdict, finding.text) for finding in found if finding.verdict != "ok"]
@@ -118,6 +124,7 @@ def test_a_robot_that_does_all_right() -> None:
     assert not_well(told) == []
     assert [finding.text for finding in told] == [
         "odometry at 50.0 Hz, in 'map'",
+        CONFIDENCE,
         "clouds at 10.0 Hz, 400 points each, in 'lidar'",
         "points in 'lidar' have times: t (uint32) in ns from the sweep's start, over 0.0999 s",
         "poses follow clouds in 'lidar' within 0.00 s (input.max_wait 0.5 s)",

@@ -110,7 +110,18 @@ def judge_covariances(
         findings.append(Finding(robot, "note", text, remedy, settings))
     if len(found.sigmas):
         findings += _limits(robot, found, ranges, config)
+    findings.append(_confidence(robot, found, config))
     return findings
+
+
+def _confidence(robot: str, found: Covariances, config: Config) -> Finding:
+    """Say by what the map tells how far its heights can be trusted."""
+    height = float(np.median(found.sigmas[:, 2])) if len(found.sigmas) else config.input.pose_sigma[2]
+    text = (
+        f"the poses' heights have a sigma of {height:.3g} m, and their errors last for {config.pose_error_time(robot):g} "
+        "s (pose_error_time): the map's confidence is as true as these two are"
+    )
+    return Finding(robot, "ok", text)
 
 
 def _unknown(robot: str, found: Covariances, policy: Policy, config: Config, sigma: str) -> Finding:

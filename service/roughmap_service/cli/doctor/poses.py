@@ -1,5 +1,6 @@
 """Judges a robot's poses: rate, gaps, frames and transforms, leaps, bursts, jitter."""
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,6 +21,12 @@ MAX_FOLLOWED = 5_000
 
 MAX_FRAMES = 64
 """Frames of odometry that are told apart."""
+
+KEEP_RADIUS_M = 50.0
+"""What a robot without a global frame may keep around it: dead reckoning drifts by a percent of the way."""
+
+
+KEEP = table(("map", "keep"), {"radius": KEEP_RADIUS_M})
 
 
 def judge_poses(robot: str, poses: Sequence[HeardPose], rows: Sequence[Sequence[int]], config: Config) -> list[Finding]:
@@ -107,10 +114,16 @@ def judge_frames(
             findings.append(Finding(robot, "wrong", text, remedy, table(("map",), {"frame_id": frame})))
             continue
         slashed = [one for one in (*lead, *(t.parent for t in transforms)) if one.strip("/") == frame.strip("/")]
-        remedy = f"publish that transform, or odometry in {frame_id!r}, or set map.frame_id"
+        remedy, settings = f"publish that transform, or odometry in {frame_id!r}, or set map.frame_id", ""
         if slashed:
             remedy = f"use one name: transforms have {slashed[0]!r}, without or with a leading slash"
-        findings.append(Finding(robot, "wrong" if transforms else "note", text, remedy))
+        elif drifts(frame):
+            remedy = (
+                f"publish that transform, or odometry in {frame_id!r}; without a localisation, map in {frame!r} and "
+                "forget what the robot left behind (which needs a new run, --fresh):"
+            )
+            settings = "\n".join((table(("map",), {"frame_id": frame}), KEEP))
+        findings.append(Finding(robot, "wrong" if transforms else "note", text, remedy, settings))
     for parent in sorted({one.parent for one in transforms} - {frame_id})[:MAX_FRAMES]:
         slash = parent.strip("/") == frame_id.strip("/")
         text = f"transforms from {parent!r} are not used: the map's frame is {frame_id!r}"
@@ -120,12 +133,22 @@ def judge_frames(
             else f"publish the transform from {frame_id!r} to the odometry's frame"
         )
         findings.append(Finding(robot, "wrong" if slash else "note", text, remedy))
+    forgets = math.isfinite(config.map.keep.radius)
+    if drifts(frame_id) and not forgets and any(pose.frame_id == frame_id for pose in poses):
+        text = f"odometry in {frame_id!r}, the map's own frame, drifts: old ground becomes false steps"
+        remedy = "let the map forget what the robots left behind:"
+        findings.append(Finding(robot, "note", text, remedy, KEEP))
     for child in sorted(lead):
         own = [pose for pose in poses if pose.frame_id == child]
         findings += _later(
             robot, child, own, [one for one in transforms if one.parent == frame_id and one.child == child]
         )
     return findings
+
+
+def drifts(frame: str) -> bool:
+    """Return whether a frame's name says that it is one of dead reckoning, as ROS has it (REP 105): odom."""
+    return "odom" in frame.lower()
 
 
 def _later(robot: str, child: str, poses: Sequence[HeardPose], transforms: Sequence[HeardTransform]) -> list[Finding]:
