@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import yaml
 
-from roughmap import CELL_DTYPE
+from roughmap.tiles.columns import COLUMN_BYTES
 from roughmap.tiles.slots import SLOT_BYTES
 from roughmap_client.client import MAX_RETRY_S
 from roughmap_schemas import Config
@@ -66,7 +66,7 @@ def settings() -> dict[str, Any]:
         ("OPERATIONS.md", "problem", "`input_lost`", 100 * losses.SHARE, "%"),
         ("OPERATIONS.md", "problem", "`overloaded`", counters.OVERLOAD_SECONDS, "s"),
         ("OPERATIONS.md", "resource", "memory of the map", SLOT_BYTES / 2**10, "KiB"),
-        ("OPERATIONS.md", "resource", "a map larger than memory", CELL_DTYPE.itemsize, "bytes"),
+        ("OPERATIONS.md", "resource", "a map larger than memory", (SLOT_BYTES + COLUMN_BYTES) / 4096, "bytes"),
         ("RELIABILITY.md", "fault", "disk that hangs", disk.HANG_SECONDS, "s"),
         ("RELIABILITY.md", "fault", "link cut, held up", MAX_RETRY_S, "s"),
         ("RELIABILITY.md", "load", "twice as many scans", counters.OVERLOAD_SECONDS, "s"),

@@ -52,7 +52,7 @@ class ReadStop:
 
         class Connection(sqlite3.Connection):
             def execute(self, sql: str, *args: Any) -> sqlite3.Cursor:
-                if "records" in sql:
+                if "state" in sql:
                     disk._pass()
                 return super().execute(sql, *args)
 

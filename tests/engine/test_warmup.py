@@ -12,7 +12,7 @@ from roughmap.integration import blocks, phases, tile_update
 from roughmap.points import place
 from roughmap.reading import cell_values, levels, terrain
 from roughmap.reading.cell_values import known_bits
-from roughmap.tiles import changes, index, slots
+from roughmap.tiles import changes, index, rows, slots
 from roughmap_schemas import LAYERS, Config, contract_timed, decode_cloud, encode_cloud
 from roughmap_service.engine import warmup
 from roughmap_service.engine.warmup import UNTURNED, warm_up
@@ -20,7 +20,7 @@ from roughmap_service.run.placing import place_cloud
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.settings import Settings, new_map
 
-MODULES = (blocks, phases, place, tile_update, changes, index, slots, cell_values, levels, terrain)
+MODULES = (blocks, phases, place, tile_update, changes, index, rows, slots, cell_values, levels, terrain)
 
 
 def compiled() -> dict[str, int]:
@@ -61,6 +61,11 @@ def test_no_cloud_and_no_query_finds_a_kernel_uncompiled(model: str) -> None:
                 for name in LAYERS:
                     frozen.packed_layers(0, 0, [name])
                     frozen.tile_layers(0, 0, [name])
+        rough_map._table.pool.take_columns(rough_map._table.slot[:1])
+        for _ in range(2):  # tiles with columns are copied, too
+            with rough_map.freeze():
+                rough_map._table.make_writable(np.zeros(1, np.int32))
+        rough_map.forget([(0, 0)])
     assert {aligned for _, aligned, _ in layouts} == {True, False}, "both kinds came by"
     assert {packed for _, _, packed in layouts} == {True, False}, "and with other fields between"
     assert compiled() == before

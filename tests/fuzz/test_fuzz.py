@@ -15,7 +15,7 @@ EXAMPLES = 60
 """A target: seconds in all, most of them the log's and the store's, which go through files."""
 
 MOST_BYTES = 48 << 20
-"""That one small input may have allocated at its peak; a tile is 256 KiB, the largest answer that a target takes 1 MiB,
+"""That one small input may have allocated at its peak; a tile is 592 KiB, the largest answer that a target takes 1 MiB,
 the bound on a log's chunk lies above this, and no input here has a reason to come near."""
 
 

@@ -65,7 +65,10 @@ def _run(config: Config, stop: threading.Event) -> None:
         rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height", "confidence_level", "traversability"], level=0)
         rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height"], level=config.map.levels - 1)
         rough_map.digest()
+        rough_map.forget(rough_map.tile_sequences()[0])
     pool, dense = SlotPool(), np.ones(1, np.bool_)
     pool.release(pool.allocate(1, dense))
-    (slot,) = pool.allocate(1, dense).tolist()  # the same slot again, cleared
-    pool.known_rows(slot)  # for tiles that leave memory
+    slots = pool.allocate(1, dense)  # the same slot again, cleared
+    pool.take_columns(slots)
+    for _ in range(2):  # the second copy has the same column again, cleared
+        pool.release(pool.duplicate(slots))

@@ -22,7 +22,7 @@ M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8
 STATM = Path("/proc/self/statm")
 
 BATCH_TILES = 64
-"""Tiles that leave at a time, 16 MiB. Between batches the memory is measured again, and readers get the lock."""
+"""Tiles that leave at a time, 21 to 37 MiB. Between batches the memory is measured again, and readers get the lock."""
 
 HIGH, LOW = 15 / 16, 7 / 8
 """Shares of the limit: above HIGH, tiles leave until memory is below LOW. Without the gap some would always leave."""

@@ -113,5 +113,5 @@ def _room(
         f"map.max_new_tiles = {config.map.max_new_tiles:,}: it is rejected (too_many_tiles)"
     )
     fits = min(float(one.tile_ranges[min(most // ROOM, len(one.tile_ranges) - 1)]) for one in surveys)
-    remedy = f"raise map.cell_size ({cell:g} m) or map.max_new_tiles (256 KiB each), or limit the range:"
+    remedy = f"raise map.cell_size ({cell:g} m) or map.max_new_tiles (up to 592 KiB each), or limit the range:"
     return [Finding(robot, "wrong", text, remedy, table(table_names, {"max_range": max(math.floor(fits), 1.0)}))]
