@@ -27,7 +27,7 @@ from roughmap_service.cli.doctor.findings import Finding
 from roughmap_service.cli.doctor.traffic import Message
 
 CONFIDENCE = (
-    "the poses' heights have a sigma of 0.01 m, and their errors last for 5 s (pose_error_time): "
+    "the poses' heights have a sigma of 0.01 m; their errors last for 5 s (pose_error_time): "
     "the map's confidence is as true as these two are"
 )
 

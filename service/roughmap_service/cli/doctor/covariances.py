@@ -119,7 +119,7 @@ def _confidence(robot: str, found: Covariances, config: Config) -> Finding:
     height = float(np.median(found.sigmas[:, 2])) if len(found.sigmas) else config.input.pose_sigma[2]
     lasting = config.pose_error_time(robot)
     text = (
-        f"the poses' heights have a sigma of {height:.3g} m, and their errors last for {lasting:g} s (pose_error_time): "
+        f"the poses' heights have a sigma of {height:.3g} m; their errors last for {lasting:g} s (pose_error_time): "
         "the map's confidence is as true as these two are"
     )
     return Finding(robot, "ok", text)
