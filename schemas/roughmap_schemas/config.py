@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field, SecretStr, model_validator
 
 from roughmap_schemas.faults import ConfigFault
 from roughmap_schemas.keys import TEMPLATES, Keys
+from roughmap_schemas.layers import layers_of
 from roughmap_schemas.robot_sections import Policy, RobotConfig, SensorConfig
 from roughmap_schemas.sections import (
     HttpConfig,
@@ -112,6 +113,9 @@ class Config(Section):
             raise ValueError(
                 f"updates.levels: must be below map.levels, 0 to {self.map.levels - 1}; found {self.updates.levels}"
             )
+        known = layers_of(self.map.surface)
+        if missing := [name for name in self.updates.layers if name not in known]:
+            raise ValueError(f'updates.layers: {missing[0]!r} needs map.surface = "ground"')
         if self.log.keep is not None and self.store.path is None:
             raise ValueError(
                 'log.keep: must be "" (keep all) unless store.path is set: without a store every file is needed'

@@ -61,7 +61,7 @@ MAX_CLEARANCE: Final = 2.5
 """Metres: what hangs higher is not looked at."""
 
 
-def layers_of(surface: Surface) -> tuple[str, ...]:
+def layers_of(surface: str) -> tuple[str, ...]:
     """Return the layers that a map of that surface has."""
     return LAYERS if surface == "ground" else tuple(name for name in LAYERS if name not in GROUND_LAYERS)
 

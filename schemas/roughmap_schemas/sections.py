@@ -102,15 +102,19 @@ class MapConfig(Section):
     max_tiles: AtLeastOne = 4_000_000
     """Most tiles of the map. A cloud that needs more is rejected as `too_many_tiles`."""
     limits: dict[str, Positive] = default_limits(None)
-    """Limits of the layer `traversability`: slope in radians, a probability for confidence, the others in metres. The
-    default and the names depend on `surface`. A limit that is left out is not used."""
+    """Limits of the layer `traversability`: slope in radians, a probability for confidence, the others in metres. Names
+    and defaults depend on `surface`. One that is left out has its default with "ground"; with "all" it is not used."""
 
     @model_validator(mode="before")
     @classmethod
     def _limits_of_the_surface(cls, values: Any) -> Any:
-        if not isinstance(values, dict) or "limits" in values:
+        if not isinstance(values, dict):
             return values
-        return {**values, "limits": default_limits(values.get("surface"))}
+        surface = values.get("surface", DEFAULT_SURFACE)
+        given = values.get("limits", {} if surface == "ground" else default_limits(surface))
+        if surface == "ground" and isinstance(given, dict):
+            given = {**default_limits(surface), **given}
+        return {**values, "limits": given}
 
     @model_validator(mode="after")
     def _known_limits(self) -> "MapConfig":

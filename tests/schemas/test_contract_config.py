@@ -358,6 +358,8 @@ def test_the_limits_are_those_of_the_surface(surface: str) -> None:
     assert config_from({"map": {"surface": surface}}, "").map.limits == LIMITS[surface]
     own = dict.fromkeys(LIMITS[surface], 0.25)
     assert config_from({"map": {"surface": surface, "limits": own}}, "").map.limits == own
+    left = {**LIMITS[surface], "step": 0.3} if surface == "ground" else {"step": 0.3}
+    assert config_from({"map": {"surface": surface, "limits": {"step": 0.3}}}, "").map.limits == left
     (other,) = LIMITS.keys() - {surface}
     for name in LIMITS[other].keys() - LIMITS[surface].keys():
         with pytest.raises(ConfigFault, match=f"map.limits: '{name}' is a limit of maps whose surface is '{other}'"):

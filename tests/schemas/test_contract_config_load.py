@@ -11,6 +11,7 @@ TOML = """
 [map]
 name = "quarry"
 cell_size = 0.2
+surface = "all"
 limits = { slope = 0.4 }
 
 [zenoh]

@@ -12,7 +12,7 @@ from roughmap.tiles.index import TileBox
 from roughmap_schemas.config import Config
 from roughmap_schemas.faults import QueryFault
 from roughmap_schemas.keys import Keys
-from roughmap_schemas.layers import fault_of_limit
+from roughmap_schemas.layers import fault_of_limit, layers_of
 from roughmap_schemas.reasons import QueryCode
 from roughmap_schemas.selectors import LayersQuery, RegionQuery, TileQuery
 from roughmap_service.answers.drawing import Drawing, NotDrawnYet, TileForm, TileList
@@ -58,13 +58,22 @@ class MapReader:
         self._cache = TileCache(min(config.query.cache_limit, int(config.map.memory_limit * CACHE_SHARE)))
 
     def limits_of(self, asked: LayersQuery) -> dict[str, float]:
-        """Return the limits of a query, or the map's; QueryFault for those that a map of this surface does not have."""
+        """Return the limits of a query, or the map's.
+
+        QueryFault for layers and limits that a map of this surface does not have.
+        """
+        for name in asked.layers:
+            if name not in layers_of(self.served.surface):
+                raise QueryFault(
+                    QueryCode.UNKNOWN_LAYER,
+                    f"layers: {name!r} needs a map of the ground (map.surface); this is one of all points",
+                )
         if asked.limits is None:
             return self.limits
         for name, value in asked.limits.items():
             if (fault := fault_of_limit(name, value, self.served.surface)) is not None:
                 raise QueryFault(QueryCode.BAD_PARAMETER, f"limits: {fault}")
-        return dict(asked.limits)
+        return {**(self.limits if self.served.surface == "ground" else {}), **asked.limits}
 
     def form(self, asked: TileQuery | RegionQuery) -> TileForm:
         """Return the form of the tiles that a query asks for; the map's settings stand in for what it leaves open."""

@@ -16,6 +16,7 @@ from roughmap_service.host.log_lines import printable
 if TYPE_CHECKING:
     from roughmap import AddReport, RoughMap
     from roughmap_service.formats.recorded import PlacedPoints, RecordedScan
+    from roughmap_service.run.sensor_clock import SensorClock
     from roughmap_service.run.settings import Settings
 
 
@@ -120,8 +121,9 @@ def _fill(
     from roughmap_service.formats.clouds import read_cloud
     from roughmap_service.formats.doubts import Doubts, without_no_data
     from roughmap_service.formats.recorded import PlacedPoints
+    from roughmap_service.run.sensor_clock import SensorClock
 
-    points = 0
+    points, clock = 0, SensorClock()
     warnings: list[str] = []
     rejected: Counter[str] = Counter()
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
@@ -136,7 +138,7 @@ def _fill(
                 points += len(read.points)
                 rejected.update({"no_data": missing} if (missing := len(read.points) - len(part.points)) else {})
                 if len(part.points) or not missing:
-                    rejected.update(_add(built, part, settings, sensor, range_sigma).rejected)
+                    rejected.update(_add(built, part, settings, sensor, range_sigma, clock).rejected)
                 where = f"file {number} of {len(clouds)}, {file.name}"
                 progress.update(task, description=f"{where}: {points:,} points, {built.tile_count} tiles")
             warnings += (f"{file}: {doubt}" for doubt in doubts.found(built.cell_size))
@@ -149,6 +151,7 @@ def _add(
     settings: "Settings",
     sensor: str,
     range_sigma: float | None,
+    clock: "SensorClock",
 ) -> "AddReport":
     import numpy as np
 
@@ -157,7 +160,9 @@ def _add(
 
     if isinstance(part, PlacedPoints):
         covariance = settings.placed_covariance if part.covariance is None else part.covariance
-        return built.add(part.points, covariance, part.stamp_ns)
+        # How much of a point's error it shares with others is not in the file: all of it, to be safe.
+        shared = np.nan_to_num(np.asarray(covariance)[..., 2, 2], nan=0.0, posinf=0.0)
+        return built.add(part.points, covariance, part.stamp_ns, common=shared)
     if range_sigma is not None:
         noise, limits = Noise(range_sigma), Limits()
     else:
@@ -171,4 +176,8 @@ def _add(
     trajectory = Trajectory(
         np.array([part.stamp_ns]), part.position[None], part.rotation[None], settings.pose_covariance[None]
     )
-    return built.add_scan(Scan(part.points, part.stamp_ns), trajectory, noise, limits)
+    clear = settings.clears and clock.clears(part.stamp_ns, settings.clear_interval_ns)
+    report = built.add_scan(Scan(part.points, part.stamp_ns), trajectory, noise, limits, clear=clear)
+    if clear and report.accepted:
+        clock.cleared_ns = part.stamp_ns
+    return report

@@ -61,7 +61,7 @@ def _run(config: Config, stop: threading.Event) -> None:
             with rough_map.freeze() as frozen:
                 frozen.packed_layers(0, 0, ["mean_height"])
                 known_bits(frozen.records(0, 0))
-                rough_map.integrate(place_cloud(rough_map, robot, cloud, line, settings))
+                rough_map.integrate(place_cloud(rough_map, robot, cloud, line, settings, clear=settings.clears))
         rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height", "confidence_level", "traversability"], level=0)
         rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height"], level=config.map.levels - 1)
         rough_map.digest()

@@ -13,7 +13,7 @@ import zenoh
 from roughmap_schemas.config import Config
 from roughmap_schemas.encodings import json_encoding
 from roughmap_schemas.keys import Keys
-from roughmap_schemas.layers import LAYERS
+from roughmap_schemas.layers import layers_of
 from roughmap_schemas.messages import (
     CloudCounts,
     Lag,
@@ -94,7 +94,7 @@ class Status:
             frame_id=self._map.frame_id,
             cell_size=self._map.cell_size,
             levels=self._map.levels,
-            layers=list(LAYERS),
+            layers=list(layers_of(self._map.surface)),
             bounds=self._map.bounds,
             extent=extent,
             error_model=self._map.error_model,
