@@ -96,7 +96,9 @@ def test_cells_come_in_the_order_of_the_places(served: Served, client: RoughMapC
             assert cells.known[number] == bool(record["count"]) == (state is not None)
             assert cells["count"][number] == record["count"]
             if state is not None:
-                assert state.model_dump() == {name: record[name].item() for name in record.dtype.names}
+                assert {name: getattr(state, name) for name in record.dtype.names} == dict(
+                    zip(record.dtype.names, record.item(), strict=True)
+                )
                 assert cells["mean_height"][number] == record["mean"]
     np.testing.assert_array_equal(np.isnan(cells["mean_height"]), ~cells.known)
     assert 0 < np.count_nonzero(cells.known) < 400
@@ -181,7 +183,7 @@ def test_after_a_reset_changes_are_complete_and_list_emptied_tiles(changing: tup
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_following_the_changes_gives_the_whole_map(changing: tuple[Served, RoughMapClient], level: int) -> None:
-    """Whatever is added between, and though it was reset: what a planner holds is what the map is."""
+    """Whatever is added and forgotten between, and though it was reset: what a planner holds is what the map is."""
     served, client = changing
     rng = np.random.default_rng(8)
     held: dict[tuple[int, int, int], Tile] = {}
@@ -189,6 +191,8 @@ def test_following_the_changes_gives_the_whole_map(changing: tuple[Served, Rough
     for step in range(12):
         if step == 7:
             served.reset()
+        if step in {4, 9}:
+            served.forget((-1, -1, 0, 0), None, "")
         for _ in range(rng.integers(0, 3)):
             served.add(some_points(50, int(rng.integers(1000)), tuple(rng.uniform(-20, 20, 2))), T0 + step)
         changes = client.changes(version, level=level)
@@ -202,6 +206,21 @@ def test_following_the_changes_gives_the_whole_map(changing: tuple[Served, Rough
         assert {key: tile.info.digest for key, tile in held.items() if tile.known_cells} == now
         fewer += len(changes.tiles) < len(now)
     assert fewer > 3, "mostly a part of the tiles was enough"
+
+
+def test_forgetting_a_box(changing: tuple[Served, RoughMapClient]) -> None:
+    _, client = changing
+    held = client.changes()
+    answer = client.forget((-12.8, -6.4, -0.1, 6.4))
+    assert (answer.tiles, answer.sequence, answer.epoch) == (4, held.version.sequence + 1, held.version.epoch)
+    changes = client.changes(held.version)
+    assert not changes.complete
+    gone = {tile.key for tile in changes.tiles if not tile.known_cells}
+    assert gone == {(0, x, y) for x in (-2, -1) for y in (-1, 0)}
+    left = {tile.key for tile in held.tiles} - gone
+    assert {tile.key for tile in client.tiles()} == left
+    with pytest.raises(QueryRefused, match="a reset forgets all"):
+        client.forget()
 
 
 def test_a_new_run_is_not_taken_for_the_one_before() -> None:

@@ -26,6 +26,7 @@ def count_all(counters: Counters) -> None:
     counters.refuse("busy", "rover")
     counters.gap("rover", 3)
     counters.jump("rover")
+    counters.forgotten(4)
     counters.output_dropped("queries")
     counters.query("ok", 0.1)
     counters.query("busy", 0.1)

@@ -2,6 +2,7 @@
 
 import itertools
 import sqlite3
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from processes import GROUND, LEVEL, PRECISE, T0, Feed, Service, connected, even
 
 from roughmap_client import QueryRefused, Tile
 from roughmap_client.session import ask
-from roughmap_schemas import ControlAnswer, MapStatus, ResetEvent, encode_odometry
+from roughmap_schemas import ControlAnswer, ForgetEvent, MapStatus, ResetEvent, encode_odometry
 from roughmap_service.store.map_db import Store
 
 S = 10**9
@@ -94,6 +95,41 @@ def test_a_reset(both: Running) -> None:
     assert changes.complete
     assert [(tile.key, tile.known_cells) for tile in changes.tiles] == [(tile.key, 0) for tile in before.tiles]
     assert grow(feed, 0.0) == answer.sequence + 1
+
+
+def test_what_an_operator_forgets(tmp_path: Path) -> None:
+    """By place, and by age, as events that a replay and a start follow; what is far away or new stays."""
+    store = {"path": str(tmp_path / "map.db"), "snapshot_interval": 3600.0}
+    with Service(tmp_path, store=store) as service:
+        with connected(service) as feed:
+            grow(feed, 0.0)
+            grow(feed, 100.0)
+            control(feed, "snapshot")
+            held = feed.client.changes()
+            answer = feed.client.forget((90.0, -10.0, 120.0, 10.0))
+            assert (answer.sequence, answer.epoch) == (held.version.sequence + 1, held.version.epoch)
+            gone = [tile.key for tile in feed.client.changes(held.version).tiles if not tile.known_cells]
+            assert (answer.tiles, all(x > 10 for _, x, _ in gone)) == (len(gone), True)
+            event = ForgetEvent(epoch=answer.epoch, sequence=answer.sequence, tiles=[key[1:] for key in sorted(gone)])
+            feed.events.wait(lambda events: event in events, "the published event")
+            feed.decided(feed.cloud("r1", T0 + 60 * S, GROUND + np.array([-100.0, 0.0, 0.0]), "map"))
+            assert feed.client.forget(older=3600.0).tiles == 0
+            old = feed.client.forget(older=30.0)
+            assert old.sequence == answer.sequence + 2
+            tiles = {tile.key: tile.info.digest for tile in feed.client.tiles()}
+            assert all(x < -10 for _, x, _ in tiles)
+            assert tiles
+            assert feed.client.status().forgotten == answer.tiles + old.tiles
+            while feed.client.status().durable_sequence < old.sequence:
+                time.sleep(0.05)
+            service.line('"event": "tiles_forgotten"')
+        service.kill()  # so that the store is still the one before
+    with Service(tmp_path, store=store) as service:
+        with connected(service) as feed:
+            assert {tile.key: tile.info.digest for tile in feed.client.tiles()} == tiles
+        assert service.stop() == 0
+    assert replay(service.log)[0] == 0
+    assert {(0, tile.tx, tile.ty) for tile in Store(tmp_path / "map.db").read_tiles()} == tiles.keys()
 
 
 def test_a_reset_holds_after_a_restart(tmp_path: Path) -> None:
