@@ -20,6 +20,7 @@ from roughmap.cell import STATE_VERSION
 from roughmap_schemas import (
     CheckpointEvent,
     Config,
+    ForgetEvent,
     IntegrationEvent,
     QueryError,
     Receipt,
@@ -84,6 +85,7 @@ def event_list() -> list[bytes]:
         encode_event(integration),
         encode_event(CheckpointEvent(epoch=1, sequence=1, digest=RUN)),
         encode_event(ResetEvent(epoch=2, sequence=2)),
+        encode_event(ForgetEvent(epoch=1, sequence=2, tiles=[(-1, 0), (0, 0)])),
         b'{"kind": "edit", "epoch": 1}',
         model_bytes(Receipt(input=1, epoch=1)),
     ]

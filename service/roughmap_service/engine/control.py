@@ -4,9 +4,9 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+import numpy.typing as npt
 
-from roughmap import RoughMap
-from roughmap.arrays import I4
+from roughmap.arrays import I4, I8
 from roughmap.tiles.index import TileBox
 from roughmap_schemas import QueryCode, QueryFault
 from roughmap_service.engine.sequencer import Sequencer
@@ -53,14 +53,13 @@ class Control:
         """
         newest_stamp_ns = self._sequencer.live.run.newest_stamp_ns
 
-        def choose(rough_map: RoughMap) -> I4:
-            tiles, newest_ns = rough_map.tile_stamps()
+        def choose(tiles: I4, stamps_ns: I8) -> npt.NDArray[np.bool_]:
             chosen = np.ones(len(tiles), np.bool_)
             if older is not None:
-                chosen &= newest_ns < newest_stamp_ns - older * NS
+                chosen &= stamps_ns < newest_stamp_ns - older * NS
             if box is not None:
                 chosen &= ((tiles >= box[:2]) & (tiles <= box[2:])).all(axis=1)
-            return tiles[chosen]
+            return chosen
 
         done: list[tuple[int, int, int]] = []
         self._sequencer.call(lambda: done.append(self._sequencer.forget(choose, why)), TIMEOUT_SECONDS)

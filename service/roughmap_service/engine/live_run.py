@@ -154,10 +154,11 @@ class LiveRun:
     def _forget_by_keep(self) -> None:
         run, keep = self.run, self.run.settings.config.map.keep
         with self.view.reading() as rough_map:
-            tiles = not_kept(rough_map, run.robots.values(), run.settings, run.newest_stamp_ns)
+            tiles, stamps_ns = rough_map.tile_stamps()
+        chosen = not_kept(tiles, stamps_ns, run.robots.values(), run.settings, run.newest_stamp_ns)
         limits = [f"farther than {keep.radius:g} m from all robots"] if math.isfinite(keep.radius) else []
         limits += [f"without a point for {keep.age:g} s"] if math.isfinite(keep.age) else []
-        self.forget(tiles, f"{' or '.join(limits)} (map.keep)")
+        self.forget(tiles[chosen], f"{' or '.join(limits)} (map.keep)")
 
     def checkpoint(self, *, last: bool = False) -> None:
         """Log the map's digest if the map changed since the last checkpoint.

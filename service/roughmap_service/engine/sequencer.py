@@ -6,8 +6,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from roughmap import RoughMap
-from roughmap.arrays import I4
+import numpy as np
+import numpy.typing as npt
+
+from roughmap.arrays import I4, I8
 from roughmap_schemas import ResetEvent
 from roughmap_service.engine.live_run import LiveRun, log_fault
 from roughmap_service.host.ending import ShuttingDown
@@ -29,6 +31,10 @@ PATIENCE_SECONDS = 0.1
 
 MEMORY_SECONDS = 0.1
 """The time between two looks at the memory while nothing is decided: readers and queues take memory too."""
+
+
+Choose = Callable[[I4, I8], npt.NDArray[np.bool_]]
+"""Chooses among the (T, 2) tiles of the map, each with its newest stamp."""
 
 
 class NotFollowed(BaseException):
@@ -138,13 +144,14 @@ class Sequencer:
             raise ShuttingDown("the service is stopping; the next start carries out the reset if it reached the disk")
         return event.sequence, event.epoch
 
-    def forget(self, choose: Callable[[RoughMap], I4], why: str) -> tuple[int, int, int]:
-        """Erase the tiles that ``choose`` returns. Return (sequence, epoch, number of tiles). Run it by `call`."""
+    def forget(self, choose: Choose, why: str) -> tuple[int, int, int]:
+        """Erase the tiles that ``choose`` chooses. Return (sequence, epoch, number of tiles). Run it by `call`."""
         if not self._writer.wait_room(IDLE_SECONDS):
             raise log_fault(self._writer.error)
         live = self.live
         with live.view.reading() as rough_map:
-            tiles = choose(rough_map)
+            tiles, stamps_ns = rough_map.tile_stamps()
+        tiles = tiles[choose(tiles, stamps_ns)]
         live.forget(tiles, why)
         return live.run.map.sequence, live.run.epoch, len(tiles)
 

@@ -4,9 +4,9 @@ import math
 from collections.abc import Iterable, Iterator
 
 import numpy as np
+import numpy.typing as npt
 
-from roughmap import RoughMap
-from roughmap.arrays import I4
+from roughmap.arrays import I4, I8
 from roughmap.cell import TILE_CELLS
 from roughmap_service.run.robot import Robot
 from roughmap_service.run.settings import NS, Settings
@@ -32,23 +32,24 @@ class Keeping:
         return True
 
 
-def not_kept(rough_map: RoughMap, robots: Iterable[Robot], settings: Settings, newest_ns: int) -> I4:
-    """Return the (T, 2) tiles that `map.keep` does not keep, ascending.
+def not_kept(
+    tiles: I4, stamps_ns: I8, robots: Iterable[Robot], settings: Settings, now_ns: int
+) -> npt.NDArray[np.bool_]:
+    """Return which of (T, 2) tiles, each with its newest stamp, `map.keep` does not keep.
 
     Their centre is farther from the newest pose of every robot than the radius, or their newest point is older than the
     age. Robots without a pose don't count; if none has one, no tile is far.
     """
-    tiles, newest = rough_map.tile_stamps()
-    forgotten = newest < newest_ns - settings.keep_age_ns if math.isfinite(settings.keep_age_ns) else newest < 0
+    side = TILE_CELLS * settings.config.map.cell_size
+    far = np.zeros(len(tiles), np.bool_)
     places = [robot.buffer.poses[-1].position for robot in robots if robot.buffer.poses]
     if places and math.isfinite(settings.keep_radius):
-        centre = (tiles + 0.5) * (TILE_CELLS * rough_map.cell_size)
-        far = np.ones(len(tiles), np.bool_)
+        far[:] = True
         for x, y, _ in places:
-            along_x, along_y = centre[:, 0] - x, centre[:, 1] - y
+            along_x, along_y = (tiles[:, 0] + 0.5) * side - x, (tiles[:, 1] + 0.5) * side - y
             far &= np.sqrt(along_x * along_x + along_y * along_y) > settings.keep_radius
-        forgotten |= far
-    return tiles[forgotten]
+    old = stamps_ns < now_ns - settings.keep_age_ns
+    return far | old
 
 
 def pieces(tiles: I4) -> Iterator[I4]:
