@@ -7,12 +7,13 @@ import pytest
 import xxhash
 from read_tools import TILE_SHAPE, chance_tile
 
-from roughmap.cell import CELL_DTYPE
+from roughmap.cell import CELL_DTYPE, TRUST_DTYPE
 from roughmap.map import RoughMap
 from roughmap.reading import levels
 from roughmap.reading.cell_values import cell_layers
 from roughmap.reading.layers import CELL_LAYERS, LAYERS
 from roughmap.reading.merge_cache import MergeCache
+from roughmap.tiles.state import TileState
 
 SIDE = 0.25
 
@@ -31,7 +32,12 @@ def put(m: RoughMap, *points: tuple[float, float, float], stamp_s: int = 0) -> N
 
 def load(m: RoughMap, tiles: dict[tuple[int, int], np.ndarray]) -> None:
     for (x, y), records in tiles.items():
-        m.load_tile(x, y, records.reshape(-1), 1_000, 2_000)
+        m.load_tile(x, y, state(records), 1_000, 2_000)
+
+
+def state(records: np.ndarray) -> TileState:
+    """The state of a tile of (64, 64) cells, without anything to trust."""
+    return TileState(records.reshape(-1), np.zeros(4096, TRUST_DTYPE), None)
 
 
 def test_an_empty_map(m: RoughMap) -> None:
@@ -79,15 +85,16 @@ def test_a_loaded_tile_is_seen_at_all_levels(m: RoughMap) -> None:
         assert frozen.known_cells(0, 0) > 1
 
 
-def test_the_digest_is_that_of_the_records(m: RoughMap) -> None:
+def test_the_digest_is_that_of_the_state(m: RoughMap) -> None:
     tile = chance_tile(3)
+    expected = xxhash.xxh3_128_hexdigest(tile.tobytes() + bytes(20 * 4096))
     load(m, {(-2, 7): tile})
     with m.freeze() as frozen:
-        assert frozen.digest(-2, 7) == xxhash.xxh3_128_hexdigest(tile.tobytes())
+        assert frozen.digest(-2, 7) == expected
         assert frozen.records(-2, 7).tobytes() == tile.tobytes()
     x, y, digests = m.tile_digests()
     assert (x.tolist(), y.tolist()) == ([-2], [7])
-    assert digests[0].tobytes().hex() == xxhash.xxh3_128_hexdigest(tile.tobytes())
+    assert digests[0].tobytes().hex() == expected
 
 
 def test_later_changes_do_not_show(m: RoughMap) -> None:
