@@ -6,23 +6,22 @@ have been added by then, so that what is still there has new hits, and blocks th
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from roughmap.arrays import I4, I8, U1, U8, Scalar
+from roughmap.arrays import F4, I4, I8, U1, U8, Scalar
 from roughmap.cell import BASED, COLUMN_DTYPE, TILE_CELLS, TILE_SHIFT
-from roughmap.integration.range_image import (
-    COLUMNS,
-    F4,
-    RESOLUTION,
-    ROWS,
-    column_of,
-    row_of,
-)
-from roughmap.integration.view import is_inside
+from roughmap.integration.range_image import COLUMNS, RESOLUTION, ROWS, column_of, look_around, range_image, row_of
+from roughmap.integration.view import View, is_inside, view_of
+from roughmap.integration.workspace import Planes, ThreadScratch, Workspace
 from roughmap.intrinsics import trailing_zeros
 from roughmap.jit import inline, kernel
+from roughmap.points.scan import Limits, Scan
+from roughmap.points.trajectory import Trajectory
+from roughmap.tiles.index import TILE_LIMIT, paired
 from roughmap.tiles.slots import words
+from roughmap.tiles.table import TileTable
 
 REACH = 1.0 / RESOLUTION
 """Distance in cells up to which a cell is at least as wide as a pixel."""
@@ -44,6 +43,85 @@ _TWO = np.uint64(2)
 _NIBBLE = np.uint64(15)
 _ONE = np.uint64(1)
 _HIGH = np.uint64(32)
+
+
+class Look(NamedTuple):
+    """A scan that clears: who looked, and from where."""
+
+    scan: Scan
+    trajectory: Trajectory
+    limits: Limits
+
+
+class Sight(NamedTuple):
+    """What a scan saw; overwritten when the next one is prepared.
+
+    ``view``: from where. ``clear_to``, ``rows``: see `look_around`. ``entries``: the tiles of the map within reach.
+    """
+
+    view: View
+    clear_to: F4
+    rows: U1
+    entries: I4
+
+
+def prepare_clearing(look: Look, planes: Planes, table: TileTable, a: float, space: Workspace) -> Sight:
+    """Find out what a scan saw, after phase one, which accepted some of its points. ``a``: the cell's side.
+
+    The map does not change, and its lock is not needed. Bring back the ``entries`` next. In phase two, make those of
+    them writable that `with_columns` returns before any cell is updated, and call `clear` when all are.
+    """
+    number = len(look.scan.points)
+    reason = planes.reason[:number]
+    view = view_of(look.scan, look.trajectory, look.limits, reason)
+    image, clear_to, rows = space.image
+    image.fill(np.inf)
+    range_image(planes.x[:number], planes.y[:number], planes.z[:number], reason, view.origin, image)
+    look_around(image, clear_to, rows)
+    return Sight(view, clear_to, rows, _within_reach(table, view, a))
+
+
+def _within_reach(table: TileTable, view: View, a: float) -> I4:
+    """Return the entries of the tiles that may have a cell within reach, ascending by (tx, ty)."""
+    box = []
+    for sign in (-1.0, 1.0):
+        for k in range(2):
+            tile = (view.origin[k] / a + sign * (REACH + 1.0)) / TILE_CELLS
+            box.append(math.floor(min(max(-TILE_LIMIT, tile), TILE_LIMIT - 1)))
+    return table.select((box[0], box[1], box[2], box[3]))
+
+
+def with_columns(table: TileTable, entries: I4) -> I4:
+    """Return those of these entries that have a column. ValueError if one is on the shelf."""
+    slots = table.slot[entries]
+    if (slots < 0).any():
+        raise ValueError("expected tiles in memory, found one on the shelf")
+    return entries[table.pool.column_address[slots] != 0]
+
+
+def clear(sight: Sight, table: TileTable, a: float, space: Workspace, sequence: int) -> tuple[int, I4]:
+    """Halve the hits of every bin that the scan saw through, and mark the cells as changed by ``sequence``; return the
+    number of these bins, and the (T, 2) tiles in which they are.
+
+    All tiles within reach must be in memory, and those with a column writable.
+    """
+    base = table.levels[0]
+    near = _within_reach(table, sight.view, a)  # again: some tiles are new
+    table.used[near] = sequence
+    entries = with_columns(table, near)
+    number = len(entries)
+    address, tx, ty = table.pool.column_address[table.slot[entries]], base.tx[entries], base.ty[entries]
+    bits, cleared = np.zeros((number, TILE_CELLS), np.uint64), np.zeros(number, np.int64)
+    parts = max(1, min(space.threads, number))
+
+    def work(part: int, _: ThreadScratch) -> None:
+        clear_tiles(part, parts, address, tx, ty, a, sight.view, sight.clear_to, sight.rows, bits, cleared)
+
+    space.run(parts, work)
+    changed = cleared > 0
+    tx, ty = tx[changed], ty[changed]
+    table.mark_changed(entries[changed], tx, ty, bits[changed], sequence)
+    return int(cleared.sum()), paired(tx, ty)
 
 
 @inline

@@ -6,16 +6,14 @@ horizontal distance of its returns, infinity if it has none: the order of the po
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from roughmap.arrays import F8, U1, Scalar
+from roughmap.arrays import F4, F8, U1, Scalar
 from roughmap.cell import PointReason
 from roughmap.jit import inline, kernel
 from roughmap.points.place import BLOCK
-
-F4 = npt.NDArray[np.float32]
 
 ROWS, COLUMNS = 330, 600
 RESOLUTION = 0.010471975511965978
@@ -30,6 +28,21 @@ _NEAREST = 0.1
 _SELF = np.uint8(PointReason.SELF)
 _PER_QUARTER = COLUMNS / 4.0
 _FAR = np.float32(math.inf)
+
+
+class RangeImage(NamedTuple):
+    """Memory of an ``image`` and of what `look_around` finds in it."""
+
+    image: F4
+    clear_to: F4
+    rows: U1
+
+
+def new_image() -> RangeImage:
+    """Allocate it; its pages stay unallocated until they are written."""
+    return RangeImage(
+        np.empty((COLUMNS, ROWS), np.float32), np.empty((COLUMNS, ROWS), np.float32), np.zeros(ROWS, np.uint8)
+    )
 
 
 @inline

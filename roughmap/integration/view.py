@@ -29,14 +29,12 @@ class View(NamedTuple):
     edges: Edges
 
 
-def view_of(scan: Scan, trajectory: Trajectory, limits: Limits, reason: U1) -> View | None:
-    """Return the view at the time of the accepted point of lowest index; None if no point was accepted.
+def view_of(scan: Scan, trajectory: Trajectory, limits: Limits, reason: U1) -> View:
+    """Return the view at the time of the accepted point of lowest index.
 
-    ``reason`` (N,): what phase one says of the scan's points.
+    ``reason`` (N,): what phase one says of the scan's points; one at least is accepted.
     """
-    first = int(np.argmin(reason)) if len(reason) else 0
-    if not len(reason) or reason[first]:
-        return None
+    first = int(np.argmin(reason))
     stamp = scan.stamp_ns if scan.offsets_ns is None else scan.stamp_ns + int(scan.offsets_ns[first])
     _, pose = pose_at(trajectory.arrays, limits.max_gap_ns, stamp)
     r, t, m = pose[:9], pose[9:12], scan.mounting
