@@ -1,0 +1,114 @@
+"""The ground map against its oracle, byte by byte: all error models, hostile heights, any cutting, one and two threads."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+
+from roughmap.cell import TILE_CELLS
+from roughmap.map import RoughMap
+from roughmap.points.footprint import ERROR_MODELS
+from roughmap.reference.ground import GroundOracle
+
+SECOND = 1_000_000_000
+
+PLACES = [(0.0, 0.0), (6.4, -6.4), (-12.83, 3.0), (1000.0, 6.35)]
+"""Metres: within a tile, on a corner of four, beside an edge."""
+
+FIRST_NS = 4_294_960 * SECOND
+"""Milliseconds wrap at 4,294,967 s."""
+
+LEVEL = [10.0, 10.03, 10.1]
+"""Heights within one band."""
+
+ROUGH = [*LEVEL, 10.3, 10.45, 9.7, 9.1, 8.8, 11.0, 12.1, 12.8, 13.4, 7.4, 5.0, -20.0, 900.0]
+"""Heights in, below and above the bins of the ground at 10 m, on the borders of nibbles and beside them."""
+
+
+class Cloud(NamedTuple):
+    """Points with all that `add` takes of each."""
+
+    points: np.ndarray
+    covariance: np.ndarray
+    stamp_ns: np.ndarray
+    common: np.ndarray
+    mount: np.ndarray
+    up: np.ndarray
+
+
+class Recipe(NamedTuple):
+    """How to make a cloud: a few numbers, which are told when a test fails."""
+
+    seed: int
+    number: int
+    levels: int
+    place: tuple[float, float]
+    spread: float
+    widest: float
+    pace: int
+    up: float
+
+    def cloud(self, heights: list[float]) -> Cloud:
+        """Return points on a few cells, nine of ten at the same few heights: the fewer, the more often they win."""
+        rng, number = np.random.default_rng(self.seed), self.number
+        usual = rng.choice(heights, self.levels)
+        points = np.empty((number, 3))
+        points[:, :2] = np.array(self.place) + rng.normal(0.0, self.spread, (number, 2))
+        points[:, 2] = np.where(rng.random(number) < 0.9, rng.choice(usual, number), rng.choice(heights, number))
+        points[:, 2] += rng.choice([0.0, 0.01, -0.02], number)
+        turn, _ = np.linalg.qr(rng.normal(size=(number, 3, 3)))
+        sigma = np.exp(rng.uniform(np.log(3e-4), np.log(self.widest), (number, 3)))
+        covariance = np.einsum("nij,nj,nkj->nik", turn, sigma**2, turn)
+        stamp_ns = FIRST_NS + self.pace * rng.integers(0, 50, number)
+        common, mount = rng.choice([0.0, 1e-4, 0.01, -1e-9], (2, number))
+        return Cloud(points, covariance, stamp_ns, common, mount, rng.random(number) < self.up)
+
+
+RECIPES = st.builds(
+    Recipe,
+    seed=st.integers(0, 2**32 - 1),
+    number=st.integers(1, 400),
+    levels=st.integers(1, 5),
+    place=st.sampled_from(PLACES),
+    spread=st.sampled_from([0.02, 0.1, 0.3]),
+    widest=st.sampled_from([0.01, 0.05, 0.2]),
+    pace=st.sampled_from([0, 1_000_000, SECOND, 20 * SECOND]),
+    up=st.sampled_from([0.0, 0.1, 0.5]),
+)
+
+CHOICES = st.fixed_dictionaries(
+    {
+        "cell_size": st.sampled_from([0.1, 0.25, 0.5]),
+        "min_share": st.sampled_from([0.05, 0.0, 0.4]),
+        "min_radius": st.sampled_from([1e-3, 0.02]),
+        "bounds": st.sampled_from([None, (-0.27, -6.6, 6.45, 3.1)]),
+    }
+)
+"""Settings of a map. The bounds cut through the first three places."""
+
+
+def records(m: RoughMap) -> dict[tuple[int, int], bytes]:
+    """Return the known cells of a map."""
+    with m.freeze() as frozen:
+        tiles = {(tx, ty): frozen.records(tx, ty) for tx, ty in frozen.tiles.tolist()}
+        return {
+            (tx * TILE_CELLS + i, ty * TILE_CELLS + j): cells[j, i].tobytes()
+            for (tx, ty), cells in tiles.items()
+            for j, i in np.argwhere(cells["count"] > 0).tolist()
+        }
+
+
+@pytest.mark.parametrize("model", ERROR_MODELS)
+@examples(60)
+@given(recipe=RECIPES, chosen=CHOICES)
+def test_level_ground_is_the_same_on_all_surfaces(model: str, recipe: Recipe, chosen: dict[str, Any]) -> None:
+    """Where all heights are within the band, the ground is the paper's record of every point."""
+    cloud = recipe.cloud(LEVEL)
+    m = RoughMap(threads=1, error_model=model, **chosen)
+    report = m.add(cloud.points, cloud.covariance, cloud.stamp_ns)
+    oracle = GroundOracle(m.settings)
+    assert oracle.add(cloud.points, cloud.covariance, cloud.stamp_ns) == report.accepted
+    assert {place: cell.tobytes() for place, (cell, _, _) in oracle.records().items()} == records(m)
