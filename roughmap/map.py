@@ -9,9 +9,9 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from roughmap.arrays import I4, I8, U1, Records
+from roughmap.arrays import I4, I8, U1
 from roughmap.cell import TILE_CELLS
-from roughmap.integration.geometry import PointInput, placed_points, scan_points
+from roughmap.integration.geometry import PointInput, Shared, placed_points, scan_points
 from roughmap.integration.phases import AddReport, Prepared, phase_one, phase_two
 from roughmap.integration.workspace import Workspace
 from roughmap.points.scan import Limits, Noise, Scan
@@ -21,11 +21,15 @@ from roughmap.reading.merge_cache import MergeCache
 from roughmap.reading.region import Region, cell_box, read_region, tile_box
 from roughmap.settings import MapSettings
 from roughmap.tiles import loading
+from roughmap.tiles.changes import rings
 from roughmap.tiles.digest import map_digest
 from roughmap.tiles.eviction import Eviction
-from roughmap.tiles.index import TileBox, TileVersions, paired
+from roughmap.tiles.index import TILE_LIMIT, TileBox, TileVersions, paired
 from roughmap.tiles.shelf import Shelf
+from roughmap.tiles.state import TileState
 from roughmap.tiles.table import ReaderLock, TileTable
+
+_SECOND_NS = 1_000_000_000
 
 
 class RoughMap:
@@ -33,11 +37,12 @@ class RoughMap:
 
     ``cell_size``: metres. ``error_model``: "point", "cuboid" or "ellipsoid". ``coverage``: half extent of the error
     body in sigmas. ``min_radius``: smallest half extent, metres. ``min_distance``: smallest distance in eq. 16, metres.
-    ``min_share``: a cell counts if its share is at least this fraction of the point's largest share.
-    ``max_horizontal_radius`` (half extent) and ``max_vertical_sigma`` (standard deviation): metres, beyond which a
-    point is too uncertain. ``bounds``: (xmin, ymin, xmax, ymax) metres, half-open. ``levels``: number of levels, level
-    0 included. ``threads``: threads that share the work (None: numba's number). ``shelf``: storage for the tiles that
-    `spill` moves out of memory.
+    ``surface``: "ground", where cells hold the ground alone and columns what is above and below it; or "all", where
+    cells hold every point. ``min_share``: a cell counts if its share is at least this fraction of the point's largest
+    share. ``max_horizontal_radius`` (half extent) and ``max_vertical_sigma`` (standard deviation): metres, beyond which
+    a point is too uncertain. ``bounds``: (xmin, ymin, xmax, ymax) metres, half-open. ``levels``: number of levels,
+    level 0 included. ``threads``: threads that share the work (None: numba's number). ``shelf``: storage for the tiles
+    that `spill` moves out of memory.
 
     The same points, covariances and stamps in the same order give the same bytes of state, for any division into calls
     and any number of threads.
@@ -61,6 +66,7 @@ class RoughMap:
         threads: int | None = None,
         *,
         max_vertical_sigma: float = 0.5,
+        surface: str = "all",
         shelf: Shelf | None = None,
     ) -> None:
         self.settings = MapSettings(
@@ -74,6 +80,7 @@ class RoughMap:
             max_vertical_sigma=max_vertical_sigma,
             bounds=bounds,
             levels=levels,
+            surface=surface,
         )
         threads = numba.config.NUMBA_NUM_THREADS if threads is None else threads  # type: ignore[attr-defined]
         if not isinstance(threads, int) or not 1 <= threads <= 256:
@@ -81,11 +88,11 @@ class RoughMap:
         self.sequence = 0
         """Increases by 1 with each call that accepts a point and with each `reset`."""
         self.newest_updated = 0
-        """Largest `updated` of any cell, in seconds; 0 if the map is empty."""
+        """The newest stamp of any tile, in whole seconds; 0 if the map is empty."""
         self._space = Workspace(threads, self.settings.side)
-        self._table = TileTable(levels, shelf or Shelf())
+        self._rings = rings(self.settings.surface, self.settings.cell_size, levels)
+        self._table = TileTable(self._rings, shelf or Shelf())
         self._cache = MergeCache()
-        self._digest = ((-1, 0), "")  # the last digest, and the version it belongs to
 
     @property
     def cell_size(self) -> float:
@@ -144,6 +151,10 @@ class RoughMap:
         covariance: npt.ArrayLike | None = None,
         stamp_ns: npt.ArrayLike = 0,
         *,
+        common: npt.ArrayLike | None = None,
+        mount: npt.ArrayLike | None = None,
+        up: npt.ArrayLike | None = None,
+        pose_error_time: float = 5.0,
         offsets_ns: npt.ArrayLike | None = None,
         max_new_tiles: int | None = None,
         max_tiles: int | None = None,
@@ -153,14 +164,17 @@ class RoughMap:
         ``covariance``: (N, 3, 3), or (3, 3) for all points, in square metres and map axes; only the upper triangle is
         used. Required unless the model is "point", which ignores it. ``stamp_ns``: one integer or (N,), in [0, 2^32 s).
         ``offsets_ns`` (N,): added to the stamps; a point with an offset below 0 or above 1 s is rejected as `time`.
+        ``common``, ``mount``: one variance or (N,), square metres, of the heights from their poses, whose errors stay
+        alike for ``pose_error_time`` seconds, and from the mounting (None: 0; so do negative ones count). ``up`` (N,):
+        points that can't be ground, since their beams rise steeply (None: none). `georeference` tells all three.
         `TooManyTiles`, with no cell written, if the call would create more than ``max_new_tiles`` tiles or the map
         would have more than ``max_tiles``.
         """
-        return self.integrate(
-            self.prepare_points(
-                points, covariance, stamp_ns, offsets_ns=offsets_ns, max_new_tiles=max_new_tiles, max_tiles=max_tiles
-            )
-        )
+        prepared = self.prepare_points(
+            points, covariance, stamp_ns, common=common, mount=mount, up=up, pose_error_time=pose_error_time,
+            offsets_ns=offsets_ns, max_new_tiles=max_new_tiles, max_tiles=max_tiles,
+        )  # fmt: skip
+        return self.integrate(prepared)
 
     def add_scan(
         self,
@@ -187,6 +201,10 @@ class RoughMap:
         covariance: npt.ArrayLike | None = None,
         stamp_ns: npt.ArrayLike = 0,
         *,
+        common: npt.ArrayLike | None = None,
+        mount: npt.ArrayLike | None = None,
+        up: npt.ArrayLike | None = None,
+        pose_error_time: float = 5.0,
         offsets_ns: npt.ArrayLike | None = None,
         max_new_tiles: int | None = None,
         max_tiles: int | None = None,
@@ -198,7 +216,8 @@ class RoughMap:
         takes that lock for moments; it is not held while tiles are read from the shelf. An error leaves the map as it
         was. Call `integrate` next, under the lock.
         """
-        given = placed_points(points, covariance, stamp_ns, offsets_ns, self.settings, self._space)
+        shared = Shared(common, mount, up, pose_error_time)
+        given = placed_points(points, covariance, stamp_ns, offsets_ns, shared, self.settings, self._space)
         return self._prepare(given, max_new_tiles, max_tiles, reader_lock)
 
     def prepare_scan(
@@ -213,7 +232,7 @@ class RoughMap:
         reader_lock: ReaderLock = nullcontext,
     ) -> Prepared:
         """Do the same for an `add_scan`."""
-        given = scan_points(scan, trajectory, noise, limits or Limits(), self.settings, self._space)
+        given = scan_points(scan, trajectory, noise, limits or Limits(), False, self.settings, self._space)
         return self._prepare(given, max_new_tiles, max_tiles, reader_lock)
 
     def _prepare(
@@ -235,7 +254,7 @@ class RoughMap:
             raise ValueError("expected the points prepared last, for the map as it is now")
         newest_ns = phase_two(work, self.sequence + 1, self._table, self.settings, self._space)
         self.sequence += 1
-        self.newest_updated = max(self.newest_updated, newest_ns // 1_000_000_000)
+        self.newest_updated = max(self.newest_updated, newest_ns // _SECOND_NS)
         return AddReport(prepared.accepted, prepared.rejected, work.changed)
 
     @property
@@ -246,7 +265,7 @@ class RoughMap:
     def reset(self) -> None:
         """Remove all cells; the sequence goes on. Open frozen maps keep their cells."""
         self._table.clear()
-        self._table = TileTable(self.levels, self._table.shelf)
+        self._table = TileTable(self._rings, self._table.shelf)
         self._cache.generation += 1
         self.newest_updated = 0
         self.sequence += 1
@@ -259,17 +278,42 @@ class RoughMap:
             )
         self.sequence = sequence
 
+    def forget(self, tiles: npt.ArrayLike) -> int:
+        """Remove level-0 tiles, (T, 2) of their numbers, and return how many the map had.
+
+        If it had one, the sequence increases by 1, for the neighbours of these tiles and the levels above too. Open
+        frozen maps keep their cells. ValueError for anything but (T, 2) integers.
+        """
+        wanted = np.asarray(tiles)
+        if wanted.size == 0:
+            return 0
+        if wanted.ndim != 2 or wanted.shape[1] != 2 or wanted.dtype.kind not in "iu":
+            raise ValueError(f"tiles: expected (T, 2) integers, got {wanted.dtype} of shape {wanted.shape}")
+        wanted = wanted[((wanted >= -TILE_LIMIT) & (wanted < TILE_LIMIT)).all(axis=1)].astype(np.int32)
+        entries = np.unique(self._table.levels[0].find_each(wanted[:, 0], wanted[:, 1]))
+        entries = entries[entries >= 0]
+        if not len(entries):
+            return 0
+        self._table.forget(entries, self.sequence + 1)
+        self.sequence += 1
+        self.newest_updated = self._newest()
+        return len(entries)
+
+    def _newest(self) -> int:
+        """Return the newest second of the tiles, 0 if there are none."""
+        return int(self._table.newest_ns[: self.tile_count].max(initial=0)) // _SECOND_NS
+
     def load_tile(
-        self, tx: int, ty: int, records: Records, oldest_ns: int, newest_ns: int, digest: bytes | None = None
+        self, tx: int, ty: int, state: TileState, oldest_ns: int, newest_ns: int, digest: bytes | None = None
     ) -> None:
-        """Load a stored tile, (4096,) of CELL_DTYPE. Its sequence becomes the current one of the map.
+        """Load a stored tile. Its sequence becomes the current one of the map.
 
         ``digest``: its XXH3-128 as 16 big-endian bytes, if known. ValueError for a tile that the map already has, that
-        has no known cell, or that lies outside the map.
+        has no known cell, whose column has no based cell, or that lies outside the map.
         """
-        loading.load_tile(self._table, self.sequence, tx, ty, records, oldest_ns, newest_ns, digest)
+        loading.load_tile(self._table, self.sequence, tx, ty, state, oldest_ns, newest_ns, digest)
         self._cache.generation += 1
-        self.newest_updated = max(self.newest_updated, int(records["updated"].max()))
+        self.newest_updated = max(self.newest_updated, newest_ns // _SECOND_NS)
 
     def load_shelved(self, tx: I4, ty: I4, oldest_ns: I8, newest_ns: I8, digests: U1, places: I4) -> None:
         """Fill an empty map with (T,) different tiles that lie in allocated ``places`` of the shelf and stay there.
@@ -280,8 +324,7 @@ class RoughMap:
         """
         loading.load_shelved(self._table, self.sequence, tx, ty, oldest_ns, newest_ns, digests, places)
         self._cache.generation += 1
-        # The newest stamp of a tile is the stamp of a point in one of its cells.
-        self.newest_updated = int(newest_ns.max(initial=0)) // 1_000_000_000
+        self.newest_updated = self._newest()
 
     def spill(self, number: int) -> Eviction:
         """Start to move about ``number`` tiles, the least recently used ones, to the shelf.
@@ -297,13 +340,12 @@ class RoughMap:
 
     def tile_digests(self) -> tuple[I4, I4, U1]:
         """Return (tx, ty, digests (T, 16)) of the level-0 tiles with a known cell, ascending by (tx, ty)."""
-        return self._table.digests()
+        return self._table.tile_digests()
 
     def digest(self) -> str:
-        """Return the XXH3-128, in hex, over the digests of all tiles (no bytes if the map is empty); cached."""
-        if self._digest[0] != self._version:
-            self._digest = self._version, map_digest(*self.tile_digests())
-        return self._digest[1]
+        """Return the XXH3-128 of the map, in hex; see `map_digest`. It costs what has changed since the last call."""
+        self._table.refresh_digests()
+        return map_digest(self.tile_count, self._table.digests.total)
 
     def freeze(self, level: int = 0, box: TileBox | None = None, *, after: int = -1) -> FrozenMap:
         """Freeze the tiles of ``level`` in ``box`` (tile numbers, inclusive; None: all) as they are now, to be read

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from roughmap.points.bodies import GROUND_HEIGHT_MAX, HEIGHT_MAX
 from roughmap.points.footprint import ERROR_MODELS
 
 _MAX_SIDE = 512
@@ -19,8 +20,12 @@ MAX_LEVELS = 26
 """At level 25 the 2^26 tiles along an axis are reduced to two."""
 
 
-Rules = tuple[int, float, tuple[float, ...], tuple[int, ...], tuple[float, ...], float]
-"""The settings as the kernels take them: model, cell_size, area, window, error, min_share."""
+SURFACES = ("all", "ground")
+"""What cells hold: every point, as in the paper; or the ground, with a column for what is above and below it."""
+
+Rules = tuple[int, float, tuple[float, ...], tuple[int, ...], tuple[float, ...], float, bool]
+"""The settings as the kernels take them: model, cell_size, area with height_max, window, error, min_share,
+ground_only."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,7 @@ class MapSettings:
     max_vertical_sigma: float
     bounds: Sequence[float] | None
     levels: int
+    surface: str = "all"
 
     def __post_init__(self) -> None:
         for name in ("cell_size", "coverage", "min_radius", "min_distance", "max_horizontal_radius"):
@@ -49,6 +55,8 @@ class MapSettings:
         if not _is_number(tallest) or not tallest > 0.0:
             raise ValueError(f"max_vertical_sigma: expected a number above 0, or infinity, got {tallest!r}")
         object.__setattr__(self, "max_vertical_sigma", float(tallest))
+        if self.surface not in SURFACES:
+            raise ValueError(f"surface: expected one of {', '.join(SURFACES)}, got {self.surface!r}")
         if self.error_model not in ERROR_MODELS:
             raise ValueError(f"error_model: expected one of {', '.join(ERROR_MODELS)}, got {self.error_model!r}")
         if not _is_number(self.min_share) or not 0.0 <= self.min_share <= 1.0:
@@ -70,12 +78,27 @@ class MapSettings:
         return ERROR_MODELS.index(self.error_model)
 
     @property
+    def ground_only(self) -> bool:
+        """Whether cells hold the ground alone."""
+        return self.surface == "ground"
+
+    @property
+    def band(self) -> float:
+        """Metres by which a point may be off the mean height of the ground that it belongs to."""
+        return max(0.15, 0.6 * self.cell_size)
+
+    @property
     def area(self) -> tuple[float, float, float, float]:
         """The bounds xmin, ymin, xmax, ymax in metres, half-open; infinite if there are none."""
         if self.bounds is None:
             return -math.inf, -math.inf, math.inf, math.inf
         xmin, ymin, xmax, ymax = self.bounds
         return xmin, ymin, xmax, ymax
+
+    @property
+    def height_max(self) -> float:
+        """Metres. Points that are higher or lower are out of bounds."""
+        return GROUND_HEIGHT_MAX if self.ground_only else HEIGHT_MAX
 
     @property
     def window(self) -> tuple[int, int, int, int]:
@@ -94,7 +117,8 @@ class MapSettings:
     @property
     def rules(self) -> Rules:
         """The settings as the kernels take them."""
-        return self.model, self.cell_size, self.area, self.window, self.error, self.min_share
+        area = *self.area, self.height_max
+        return self.model, self.cell_size, area, self.window, self.error, self.min_share, self.ground_only
 
     @property
     def side(self) -> int:

@@ -1,16 +1,19 @@
 """Kernels of phase one: the geometry of the points, block by block, up to the tiles in which they lie."""
 
+import math
+
 import numpy as np
 
 from roughmap.arrays import F8, I8, Scalar
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
-from roughmap.integration.cell_update import RUN
+from roughmap.integration.drains import RUN
 from roughmap.jit import inline, kernel
 from roughmap.points.bodies import bound_cuboids, bound_ellipsoids, bound_points
 from roughmap.points.footprint import CUBOID, POINT
 from roughmap.points.moving import place_moving
-from roughmap.points.place import BLOCK, S, X, Y, Z, place_still
+from roughmap.points.place import BLOCK, COMMON, MOUNT, UP, S, X, Y, Z, place_still
 from roughmap.points.plain import flag_points, weigh_cuboids, weigh_ellipsoids, within
+from roughmap.points.propagation import counted_variance
 from roughmap.points.strided import read_points
 from roughmap.tiles.index import find_or_add, tile_key
 
@@ -21,14 +24,32 @@ _MASK = TILE_CELLS - 1
 
 
 @inline
-def _weigh(first: Scalar, planes: Scalar, block: Scalar, rules: Scalar) -> None:
-    """Compute the footprints of a block of placed points, and the weights of the plain ones."""
-    model, a, area, window, error, min_share = rules
-    part = slice(first, first + BLOCK)
-    z, reason, q, weight = planes.z[part], planes.reason[part], planes.q[part], planes.weight[first // BLOCK]
-    P, kept, cells, body, plain = block.planes, block.kept, block.cells, block.body, block.plain
+def _keep_heights(P: F8, part: Scalar, planes: Scalar, ground_only: Scalar) -> None:
+    """Keep the heights of a block and what is known of their errors."""
+    z, common, mount, up = planes.z[part], planes.common[part], planes.mount[part], planes.up[part]
+    looks_up = 1.0 if ground_only else 2.0
+    mounted = np.int64(0)
     for n in range(BLOCK):
         z[n] = P[Z, n]
+        common[n] = np.float32(counted_variance(P[COMMON, n]))
+        up[n] = np.uint8(1) if P[UP, n] == looks_up else np.uint8(0)
+        mounted |= np.int64(0) if P[MOUNT, n] <= 0.0 else np.int64(1)
+    if mounted:
+        for n in range(BLOCK):
+            mount[n] = np.float32(math.sqrt(counted_variance(P[MOUNT, n])))
+    else:
+        for n in range(BLOCK):
+            mount[n] = np.float32(0.0)
+
+
+@inline
+def _weigh(first: Scalar, planes: Scalar, block: Scalar, rules: Scalar) -> None:
+    """Compute the footprints of a block of placed points, and the weights of the plain ones."""
+    model, a, area, window, error, min_share, ground_only = rules
+    part = slice(first, first + BLOCK)
+    reason, q, weight = planes.reason[part], planes.q[part], planes.weight[first // BLOCK]
+    P, kept, cells, body, plain = block.planes, block.kept, block.cells, block.body, block.plain
+    _keep_heights(P, part, planes, ground_only)
     if model == POINT:
         bound_points(P, reason, cells, a, area)
         flag_points(reason, cells, window, plain)
@@ -41,7 +62,7 @@ def _weigh(first: Scalar, planes: Scalar, block: Scalar, rules: Scalar) -> None:
 
 
 @inline
-def _store_odd(n: Scalar, planes: Scalar, block: Scalar, odd: Scalar, window: Scalar) -> Scalar:
+def _store_odd(first: Scalar, n: Scalar, planes: Scalar, block: Scalar, odd: Scalar, window: Scalar) -> Scalar:
     """Store what phase two needs of an odd point in row ``odd``; return whether it lies in one tile."""
     cells, body = block.cells, block.body
     for m in range(4):
@@ -49,7 +70,7 @@ def _store_odd(n: Scalar, planes: Scalar, block: Scalar, odd: Scalar, window: Sc
         planes.odd_body[odd, 2 + m] = body[m, n]
     planes.odd_body[odd, 0] = block.planes[X, n]
     planes.odd_body[odd, 1] = block.planes[Y, n]
-    planes.odd_tile[odd] = -1
+    planes.odd_tile[odd] = -1 - np.int32(planes.up[first + n])
     return within(cells[0, n], cells[1, n], cells[2, n], cells[3, n], window)
 
 
@@ -61,12 +82,13 @@ def _find_tiles(
 
     ``found`` must have room for a block's tiles. Returns the state after the block.
     """
-    table, keys, work, rejected = found
+    table, keys, work, founded, rejected = found
     number, runs, odd = state
     cells = block.cells
     last_key = np.uint64(0)
     row: Scalar = np.int64(-1)
     worked = 0  # consecutive points in this tile
+    low = np.uint8(0)  # 1 if one of them can be ground
     length = 0  # of the open run; 0: none is open
     for n in range(size):
         k = first + n
@@ -78,7 +100,7 @@ def _find_tiles(
             if planes.reason[k] != 0:
                 rejected[planes.reason[k]] += 1
                 continue
-            alone = _store_odd(n, planes, block, odd, window)
+            alone = _store_odd(first, n, planes, block, odd, window)
             planes.run_start[runs] = k
             planes.run_stop[runs] = k + 1
             planes.run_tile[runs] = -1 - odd
@@ -91,13 +113,16 @@ def _find_tiles(
         if row < 0 or key != last_key:
             if worked:
                 work[row] += worked
+                founded[row] |= low
                 worked = 0
+                low = np.uint8(0)
             if length:
                 planes.run_stop[runs - 1] = k
                 length = 0
             last_key = key
             row, number = find_or_add(table, keys, work, key, number)
         worked += 1
+        low |= planes.up[k] ^ np.uint8(1)
         if not plain:
             planes.odd_tile[odd - 1] = row
             continue
@@ -114,6 +139,7 @@ def _find_tiles(
         planes.run_stop[runs - 1] = first + size
     if worked:
         work[row] += worked
+        founded[row] |= low
     return number, runs, odd
 
 
@@ -133,14 +159,15 @@ def scan_blocks(
     pose: Scalar,
     returns: Scalar,
     rules: Scalar,
+    clear: bool,
     found: Scalar,
     state: BlockState,
 ) -> tuple[int, BlockState]:
     """Place the points ``start`` to ``stop`` of a scan, compute their footprints and weights, and find their tiles.
 
-    ``start`` is the first point of a block. ``returns``: see `scan_rules`; ``rules``: see `MapSettings.rules`. Stops
-    early if the table of tiles in ``found`` has no room for another block. Returns the point at which it stopped and
-    the `BlockState` there.
+    ``start`` is the first point of a block. ``returns``: see `scan_rules`; ``rules``: see `MapSettings.rules`.
+    ``clear``: keep x and y of all points. Stops early if the table of tiles in ``found`` has no room for another block.
+    Returns the point at which it stopped and the `BlockState` there.
     """
     for first in range(start, stop, BLOCK):
         if 2 * (state[0] + BLOCK) > len(found[0]):
@@ -156,6 +183,10 @@ def scan_blocks(
             )  # fmt: skip
         else:
             place_still(block.planes, reason, with_covariance, posed, pose, returns)
+        if clear:
+            for n in range(BLOCK):
+                planes.x[first + n] = block.planes[X, n]
+                planes.y[first + n] = block.planes[Y, n]
         _weigh(first, planes, block, rules)
         state = _find_tiles(first, size, planes, block, rules[3], found, state)
     return stop, state
@@ -169,12 +200,17 @@ def point_blocks(
     block: Scalar,
     source: Scalar,
     covariance: F8,
+    shared: Scalar,
     rules: Scalar,
     found: Scalar,
     state: BlockState,
 ) -> tuple[int, BlockState]:
-    """Do the same for points in the map frame. ``covariance``: (1, 3, 3) for all points, or (N, 3, 3)."""
+    """Do the same for points in the map frame.
+
+    ``covariance``: (1, 3, 3) for all points, or (N, 3, 3). ``shared``: common, mount and up, (1,) or (N,) each.
+    """
     each = np.int64(1) if len(covariance) > 1 else np.int64(0)
+    common, mount, up = shared
     P = block.planes
     for first in range(start, stop, BLOCK):
         if 2 * (state[0] + BLOCK) > len(found[0]):
@@ -190,6 +226,10 @@ def point_blocks(
                 P[S + 3, n] = c[1, 1]
                 P[S + 4, n] = c[1, 2]
                 P[S + 5, n] = c[2, 2]
+        for n in range(size):
+            P[COMMON, n] = common[first + n if len(common) > 1 else 0]
+            P[MOUNT, n] = mount[first + n if len(mount) > 1 else 0]
+            P[UP, n] = 1.0 if up[first + n if len(up) > 1 else 0] else 0.0
         _weigh(first, planes, block, rules)
         state = _find_tiles(first, size, planes, block, rules[3], found, state)
     return stop, state

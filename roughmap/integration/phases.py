@@ -17,7 +17,6 @@ from roughmap.integration.workspace import Planes, ThreadScratch, TouchedTiles, 
 from roughmap.jit import kernel
 from roughmap.points.place import BLOCK
 from roughmap.settings import MapSettings, Rules
-from roughmap.tiles.changes import mark_changed
 from roughmap.tiles.index import find, find_or_add
 from roughmap.tiles.table import ReaderLock, TileTable
 
@@ -32,33 +31,36 @@ class AddReport:
     """The result of adding points.
 
     ``accepted``: number of points used. ``rejected``: {reason: number of points}, without zeros. ``tiles``: (T, 2)
-    int32, the level-0 tiles with a changed cell, ascending by (x, y).
+    int32, the level-0 tiles that the points touched, ascending by (x, y). ``cleared``: number of hits above the ground
+    that the scan saw through.
     """
 
     accepted: int
     rejected: dict[str, int] = field(default_factory=dict)
     tiles: I4 = field(default_factory=lambda: np.zeros((0, 2), np.int32))
+    cleared: int = 0
 
 
 class Work(NamedTuple):
     """What phase one leaves for phase two.
 
-    ``planes``, ``stamps``: the points and their stamps, (1,) or (N,). ``parts``: number of threads. ``edges`` (Q + 1,):
+    ``planes``, ``stamps``, ``pose_error_time``: see `PointInput`. ``parts``: number of threads. ``edges`` (Q + 1,):
     where the ranges of points begin and end. ``rows`` (Q, R): see `_merge_ranges`. For each tile of the merged table,
     ``tx``, ``ty`` (T,): its numbers; ``entries`` (T,): its entry in the map's table, or -1; ``owner`` (T,): the part
-    that updates it; ``bits`` (T, 64): room for its changed cells. ``new``: the rows without an entry. ``changed``
-    (T, 2): the tiles, ascending.
+    that updates it; ``bits`` (T, 64): room for its changed cells. ``there``: the rows of tiles that exist, or will
+    because a point in them can be ground. ``changed`` (U, 2): these tiles, ascending.
     """
 
     planes: Planes
     parts: int
     edges: I8
     stamps: I8
+    pose_error_time: float
     rows: I4
     tx: I4
     ty: I4
     entries: I4
-    new: I8
+    there: I8
     changed: I4
     owner: U1
     bits: U8
@@ -85,11 +87,12 @@ def _find_all(table: I4, keys: U8, wanted: U8, entries: I4) -> None:
 
 
 @kernel
-def _merge(table: I4, keys: U8, work: I8, number: int, found: U8, points: I8, rows: I4) -> int:
+def _merge(table: I4, keys: U8, work: I8, founded: U1, number: int, found: U8, points: I8, low: U1, rows: I4) -> int:
     """Add the tiles of a range to the merged ones; set ``rows`` to their rows there and return the number of tiles."""
     for n in range(len(found)):
         row, number = find_or_add(table, keys, work, found[n], number)
         work[row] += points[n]
+        founded[row] |= low[n]
         rows[n] = row
     return number
 
@@ -133,7 +136,9 @@ def _merge_ranges(ranges: list[TouchedTiles]) -> I4:
         while 2 * (first.number + other.number) > len(first.table):
             first.double()
         found, points = other.keys[: other.number], other.work[: other.number]
-        first.number = _merge(first.table, first.keys, first.work, first.number, found, points, rows[n])
+        first.number = _merge(
+            first.table, first.keys, first.work, first.founded, first.number, found, points, other.founded, rows[n]
+        )
     return rows
 
 
@@ -152,8 +157,8 @@ def phase_one(
     `TooManyTiles` comes before any tile is brought back; for ``reader_lock`` and other errors see
     `TileTable.bring_back`.
     """
-    array, planes, stamps, geometry = points
-    number = len(array)
+    planes, geometry = points.planes, points.geometry
+    number = len(points.points)
     parts = space.parts(number)
     edges = _edges(number, parts)
     ranges = space.tiles(len(edges) - 1)
@@ -170,7 +175,7 @@ def phase_one(
     rejected = {name: n for name, n in zip(REASON_NAMES, counts.tolist(), strict=True) if n}
     if not accepted:
         return Prepared(0, rejected)
-    work = _work(planes, parts, edges, stamps, table, ranges, max_new_tiles, max_tiles)
+    work = _work(points, parts, edges, table, ranges, max_new_tiles, max_tiles)
     table.bring_back(work.entries[work.entries >= 0], reader_lock)
     return Prepared(accepted, rejected, work, (*version, space.uses))
 
@@ -182,10 +187,9 @@ def _edges(number: int, parts: int) -> I8:
 
 
 def _work(
-    planes: Planes,
+    points: PointInput,
     parts: int,
     edges: I8,
-    stamps: I8,
     table: TileTable,
     ranges: list[TouchedTiles],
     max_new_tiles: int | None,
@@ -199,21 +203,26 @@ def _work(
     entries = np.empty(number, np.int32)
     base = table.levels[0]
     _find_all(base.table, base.keys, keys, entries)
-    new = np.flatnonzero(entries < 0)
-    allowed = len(new) if max_new_tiles is None else max_new_tiles
+    founded = tiles.founded[:number] != 0
+    new = int(np.count_nonzero(founded & (entries < 0)))
+    allowed = new if max_new_tiles is None else max_new_tiles
     if max_tiles is not None:
         allowed = min(allowed, max(max_tiles - table.size, 0))
-    if len(new) > allowed:
-        raise TooManyTiles(len(new), allowed)
+    if new > allowed:
+        raise TooManyTiles(new, allowed)
     tx = (keys >> np.uint64(32)).astype(np.uint32).view(np.int32)
     ty = keys.astype(np.uint32).view(np.int32)
-    order = np.lexsort((ty, tx))
+    there = np.flatnonzero(founded | (entries >= 0))
+    order = there[np.lexsort((ty[there], tx[there]))]
     owner = np.zeros(number, np.uint8)
     if parts > 1:
         _assign_owners(np.argsort(-work, kind="stable"), work, parts, owner)
     bits = np.zeros((number, TILE_CELLS), np.uint64)
     changed = np.stack([tx[order], ty[order]], axis=1)
-    return Work(planes, parts, edges, stamps, rows, tx, ty, entries, new, changed, owner, bits)
+    return Work(
+        points.planes, parts, edges, points.stamps, points.pose_error_time, rows, tx, ty, entries, there, changed,
+        owner, bits,
+    )  # fmt: skip
 
 
 def phase_two(work: Work, sequence: int, table: TileTable, settings: MapSettings, space: Workspace) -> int:
@@ -221,19 +230,26 @@ def phase_two(work: Work, sequence: int, table: TileTable, settings: MapSettings
 
     A MemoryError comes before anything has changed.
     """
-    tx, ty, entries, new = work.tx, work.ty, work.entries.copy(), work.new
+    number = len(work.tx)
     ranges = space.tiles(len(work.edges) - 1)
     tiles = ranges[0]  # of all, merged
+    there = work.there
+    known = work.entries[there] >= 0
+    tx, ty, dense = work.tx[there], work.ty[there], tiles.work[there] >= _DENSE_POINTS
     # All memory is allocated before the first cell is written, so that a failure changes nothing.
-    table.make_writable(entries[entries >= 0])
-    if len(new):
-        entries[new] = table.insert(tx[new], ty[new], dense=tiles.work[new] >= _DENSE_POINTS)
+    entries, lent = table.open(work.entries[there], tx, ty, dense, columns=settings.ground_only)
+    slots = table.slot[entries]
     table.used[entries] = sequence
 
-    oldest, newest = table.oldest_ns[entries], table.newest_ns[entries]
-    oldest[new], newest[new] = _NEVER_NS.max, _NEVER_NS.min
-    address = table.pool.address[table.slot[entries]]
+    # By row; nothing is read of rows without a tile.
+    oldest, newest = np.full(number, _NEVER_NS.max), np.full(number, _NEVER_NS.min)
+    oldest[there[known]], newest[there[known]] = table.oldest_ns[entries[known]], table.newest_ns[entries[known]]
+    begun, based = np.zeros((2, number), np.uint8)
+    begun[there] = known
+    cells, columns = np.zeros((2, number), np.uint64)
+    cells[there], columns[there] = table.pool.address[slots], table.pool.column_address[slots]
     ends = np.array([touched.runs for touched in ranges])
+    measures = settings.min_distance, settings.band, float(work.pose_error_time)
 
     def update(part: int, scratch: ThreadScratch) -> None:
         update_tiles(
@@ -244,11 +260,12 @@ def phase_two(work: Work, sequence: int, table: TileTable, settings: MapSettings
             work.planes,
             work.stamps,
             settings.rules,
-            settings.min_distance,
+            measures,
             work.rows,
             tiles.table,
             tiles.keys[: tiles.number],
-            address,
+            (cells, columns, based),
+            begun,
             work.bits,
             oldest,
             newest,
@@ -258,9 +275,8 @@ def phase_two(work: Work, sequence: int, table: TileTable, settings: MapSettings
         )
 
     space.run(work.parts, update)
-    table.oldest_ns[entries] = oldest
-    table.newest_ns[entries] = newest
-    table.digest_known[entries] = False
-    for z, level in enumerate(table.levels):
-        mark_changed(z, level.table, level.keys, level.sequence, tx, ty, work.bits, sequence)
+    table.pool.drop_columns(np.setdiff1d(lent, slots[based[there] != 0]))
+    table.oldest_ns[entries] = oldest[there]
+    table.newest_ns[entries] = newest[there]
+    table.mark_changed(entries, tx, ty, work.bits[there], sequence)
     return int(newest.max(initial=0))

@@ -3,13 +3,14 @@
 import numpy as np
 
 from roughmap.arrays import F8, I4, I8, U1, U8, Scalar
-from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT
-from roughmap.integration.cell_update import QUEUE, drain
+from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT, TRUST_DTYPE
+from roughmap.integration.drains import QUEUE, ROW, drain_all, drain_ground
 from roughmap.intrinsics import prefetch
 from roughmap.jit import inline, kernel
 from roughmap.points.footprint import LEAST_SHARE, POINT, box_of, shares_of
 from roughmap.points.place import BLOCK
 from roughmap.tiles.index import find, find_or_add, tile_key
+from roughmap.tiles.slots import TRUST_OFFSET
 
 _MASK = np.int64(TILE_CELLS - 1)
 _SHIFT = np.int64(TILE_SHIFT)
@@ -17,6 +18,10 @@ _ROW = np.uint64(TILE_CELLS)
 _BYTES = np.uint64(CELL_DTYPE.itemsize)
 _EAST = _BYTES
 _NORTH = _ROW * _BYTES
+_TRUST = np.uint64(TRUST_OFFSET)
+_TRUST_BYTES = np.uint64(TRUST_DTYPE.itemsize)
+_TRUST_NORTH = _ROW * _TRUST_BYTES
+_TRUST_END = _TRUST_BYTES - np.uint64(1)
 _ONE = np.uint64(1)
 _CORNER = np.uint64(TILE_SHIFT)
 
@@ -36,8 +41,8 @@ def collect_odd(
     Stops early, between two points, if the table of tiles in ``found`` has no room for the tiles of another point.
     Returns (row at which it stopped, number of tiles).
     """
-    table, keys, work, _ = found
-    model, a, _, window, _, min_share = rules
+    table, keys, work, founded, _ = found
+    model, a, _, window, _, min_share, _ = rules
     w0, v0, w1, v1 = window
     for n in range(start, stop):
         if planes.odd_tile[n] >= 0:
@@ -61,7 +66,18 @@ def collect_odd(
                     if row < 0:  # a call counts references to arrays, which costs as much as the rest
                         row, number = find_or_add(table, keys, work, key, number)
                     work[row] += 1
+                    if planes.odd_tile[n] == -1:
+                        founded[row] = 1
     return stop, number
+
+
+@inline
+def _largest_share(shares: F8, number: Scalar, largest: Scalar) -> Scalar:
+    """Return the first cell of a footprint of ``number`` cells whose share is the ``largest``."""
+    c = 0
+    while c < number - 1 and shares[c] != largest:
+        c += 1
+    return c
 
 
 @inline
@@ -69,6 +85,7 @@ def _enqueue_odd(
     queue: Scalar,
     count: Scalar,
     n: Scalar,
+    up: Scalar,
     address: Scalar,
     bits: U8,
     row: Scalar,
@@ -82,63 +99,79 @@ def _enqueue_odd(
     j_high: Scalar,
     least: Scalar,
     shares: F8,
+    main: Scalar,
 ) -> Scalar:
     """Queue the cells of one tile that a footprint covers; return the new length of the queue.
 
     Every cell is written to the queue, but the length only grows for those that count: there is no branch to
-    mispredict.
+    mispredict. ``main``: the cell of the largest share.
     """
-    cell, weight, point = queue
+    cell, weight, point, trust = queue
+    tagged = np.uint64(row) << ROW | np.uint64(n)
     for j in range(j_low, j_high + 1):
         changed = np.uint64(0)
         line = np.uint64(j & _MASK)
         for i in range(i_low, i_high + 1):
-            p = shares[(j - j0) * ni + (i - i0)]
+            c = (j - j0) * ni + (i - i0)
+            p = shares[c]
             taken = np.uint64(_takes_part(p, least))
             column = np.uint64(i & _MASK)
             where = address + (line * _ROW + column) * _BYTES
-            cell[count] = where
-            weight[count] = p * q
-            point[count] = n
+            believed = address + _TRUST + (line * _ROW + column) * _TRUST_BYTES
+            cell[count] = where + up
+            weight[count] = -p * q if c == main else p * q
+            point[count] = tagged
+            trust[count] = believed
             count += taken
             changed |= taken << column
             prefetch(where)
+            prefetch(believed)
         bits[row, line] |= changed
     return count
 
 
 @inline
 def _enqueue_plain(
-    queue: Scalar, count: Scalar, n: Scalar, where: Scalar, corner: Scalar, bits: U8, row: Scalar, weight: F8
+    queue: Scalar, count: Scalar, n: Scalar, tagged: Scalar, up: Scalar, where: Scalar, believed: Scalar,
+    corner: Scalar, bits: U8, row: Scalar, weight: F8,
 ) -> Scalar:  # fmt: skip
-    """Do the same for the 2 x 2 cells of a plain point, of which the first is at ``where``.
+    """Do the same for the 2 x 2 cells of a plain point, of which the first is at ``where``, its trust at ``believed``.
 
     No array is sliced in here: each slice would count references, which costs more than the rest.
     """
     b, k = np.uint64(n) // np.uint64(BLOCK), np.uint64(n) % np.uint64(BLOCK)
-    cell, heavy, point = queue
+    cell, heavy, point, trust = queue
     w0, w1 = weight[b, np.uint64(0), k], weight[b, np.uint64(1), k]
     w2, w3 = weight[b, np.uint64(2), k], weight[b, np.uint64(3), k]
-    t0, t1, t2, t3 = np.uint64(w0 > 0.0), np.uint64(w1 > 0.0), np.uint64(w2 > 0.0), np.uint64(w3 > 0.0)
+    t0, t1, t2, t3 = np.uint64(w0 != 0.0), np.uint64(w1 != 0.0), np.uint64(w2 != 0.0), np.uint64(w3 != 0.0)
     prefetch(where)
     prefetch(where + _EAST)
     prefetch(where + _NORTH)
     prefetch(where + _NORTH + _EAST)
+    prefetch(believed)
+    prefetch(believed + _TRUST_BYTES + _TRUST_END)
+    prefetch(believed + _TRUST_NORTH)
+    prefetch(believed + _TRUST_NORTH + _TRUST_BYTES + _TRUST_END)
+    where |= up
     cell[count] = where
     heavy[count] = w0
-    point[count] = n
+    point[count] = tagged
+    trust[count] = believed
     count += t0
     cell[count] = where + _EAST
     heavy[count] = w1
-    point[count] = n
+    point[count] = tagged
+    trust[count] = believed + _TRUST_BYTES
     count += t1
     cell[count] = where + _NORTH
     heavy[count] = w2
-    point[count] = n
+    point[count] = tagged
+    trust[count] = believed + _TRUST_NORTH
     count += t2
     cell[count] = where + _NORTH + _EAST
     heavy[count] = w3
-    point[count] = n
+    point[count] = tagged
+    trust[count] = believed + _TRUST_NORTH + _TRUST_BYTES
     count += t3
     line, column = corner >> _CORNER, corner & np.uint64(_MASK)
     bits[row, line] |= (t0 | t1 << _ONE) << column
@@ -148,14 +181,17 @@ def _enqueue_plain(
 
 @inline
 def _enqueue_point(
-    queue: Scalar, count: Scalar, n: Scalar, where: Scalar, corner: Scalar, bits: U8, row: Scalar
-) -> Scalar:
+    queue: Scalar, count: Scalar, tagged: Scalar, up: Scalar, where: Scalar, believed: Scalar, corner: Scalar, bits: U8,
+    row: Scalar,
+) -> Scalar:  # fmt: skip
     """Do the same for the model `point`: one cell, of weight 1."""
-    cell, heavy, point = queue
+    cell, heavy, point, trust = queue
     prefetch(where)
-    cell[count] = where
+    prefetch(believed)
+    cell[count] = where | up
     heavy[count] = 1.0
-    point[count] = n
+    point[count] = tagged
+    trust[count] = believed
     bits[row, corner >> _CORNER] |= _ONE << (corner & np.uint64(_MASK))
     return count + _ONE
 
@@ -178,14 +214,36 @@ def _enqueue_run(
     model: Scalar,
 ) -> Scalar:  # fmt: skip
     """Do the same for a run of plain points in the tile at ``base``."""
+    tag, believed = np.uint64(row) << ROW, base + _TRUST
     for n in range(first, last):
-        corner = np.uint64(planes.corner[n])
-        where = base + corner * _BYTES
+        corner, up, tagged = np.uint64(planes.corner[n]), np.uint64(planes.up[n]), tag | np.uint64(n)
+        where, trust = base + corner * _BYTES, believed + corner * _TRUST_BYTES
         if model == POINT:
-            count = _enqueue_point(queue, count, n, where, corner, bits, np.uint64(row))
+            count = _enqueue_point(queue, count, tagged, up, where, trust, corner, bits, np.uint64(row))
         else:
-            count = _enqueue_plain(queue, count, n, where, corner, bits, np.uint64(row), planes.weight)
+            count = _enqueue_plain(
+                queue, count, n, tagged, up, where, trust, corner, bits, np.uint64(row), planes.weight
+            )
     return count
+
+
+@inline
+def _drain(
+    queue: Scalar, count: Scalar, planes: Scalar, stamps: I8, rules: Scalar, measures: Scalar, tiles: Scalar
+) -> None:
+    min_distance, band, pose_error_time = measures
+    if rules[6]:
+        drain_ground(queue, count, planes, stamps, rules[0], min_distance, pose_error_time, band, tiles)
+    else:
+        drain_all(queue, count, planes, stamps, rules[0], min_distance, pose_error_time)
+
+
+@inline
+def _skip_up(planes: Scalar, n: Scalar, stop: Scalar) -> Scalar:
+    """Return the first point from ``n`` on that can be ground, or ``stop``."""
+    while n < stop and planes.up[n] != 0:
+        n += 1
+    return n
 
 
 @kernel
@@ -197,11 +255,12 @@ def update_tiles(
     planes: Scalar,
     stamps: I8,
     rules: Scalar,
-    min_distance: float,
+    measures: Scalar,
     rows: I4,
     table: I4,
     keys: U8,
-    address: U8,
+    tiles: Scalar,
+    begun: U1,
     bits: U8,
     oldest: I8,
     newest: I8,
@@ -212,10 +271,13 @@ def update_tiles(
     """Update the cells of the tiles that ``part`` owns, in the order of the points.
 
     ``starts``, ``ends`` (Q,): the rows of the runs of each range of phase one. ``rows`` (Q, R): the rows in the merged
-    table of the tiles that each range touches. ``stamps``: (1,) for all points, or (N,). ``bits`` (T, 64) receives a
-    bit for each changed cell, rows along y. ``oldest``, ``newest`` (T,) are extended by the stamps of the points.
+    table of the tiles that each range touches. ``stamps``: (1,) for all points, or (N,). ``measures``: min_distance,
+    band, pose_error_time. ``tiles``: see `drain_ground`. ``begun`` (T,): 1 for tiles that exist; a tile begins to exist
+    with its first point that can be ground, and takes no notice of any before. ``bits`` (T, 64) receives a bit for each
+    touched cell, rows along y. ``oldest``, ``newest`` (T,) are extended by the stamps of the points.
     """
-    model, a, _, window, _, min_share = rules
+    model, a, _, window, _, min_share, _ = rules
+    address = tiles[0]
     w0, v0, w1, v1 = window
     count = np.uint64(0)
     for found in range(len(starts)):
@@ -228,35 +290,43 @@ def update_tiles(
                 if owner[row] != part:
                     continue
             if count >= QUEUE:
-                drain(queue, count, planes.z, planes.q, stamps, model, min_distance)
+                _drain(queue, count, planes, stamps, rules, measures, tiles)
                 count = np.uint64(0)
             n, stop = np.int64(planes.run_start[run]), np.int64(planes.run_stop[run])
+            if row >= 0 and begun[row] == 0:
+                n = _skip_up(planes, n, stop)
+                if n == stop:
+                    continue
+                begun[row] = 1
             if home >= 0:
                 count = _enqueue_run(queue, count, n, stop, address[row], bits, row, planes, model)
                 _widen(oldest, newest, row, stamps, n, stop)
                 continue
             i0, j0, i1, j1 = box_of(planes.odd_box, odd)
             ni = i1 - i0 + 1
-            least = min_share * shares_of(model, planes.odd_box, planes.odd_body, odd, a, lines, shares)
-            q = planes.q[n] if model != POINT else 1.0
+            largest = shares_of(model, planes.odd_box, planes.odd_body, odd, a, lines, shares)
+            least = min_share * largest
+            main = _largest_share(shares, ni * (j1 - j0 + 1), largest)
+            q, up = planes.q[n] if model != POINT else 1.0, np.uint64(planes.up[n])
             if row >= 0:
                 count = _enqueue_odd(
-                    queue, count, n, address[row], bits, row, q, i0, j0, ni, i0, i1, j0, j1, least, shares
+                    queue, count, n, up, address[row], bits, row, q, i0, j0, ni, i0, i1, j0, j1, least, shares, main
                 )
                 _widen(oldest, newest, row, stamps, n, stop)
                 continue
             for ty in range(j0 >> _SHIFT, (j1 >> _SHIFT) + 1):
                 for tx in range(i0 >> _SHIFT, (i1 >> _SHIFT) + 1):
                     row = find(table, keys, tile_key(tx, ty))
-                    if row < 0 or owner[row] != part:
+                    if row < 0 or owner[row] != part or (begun[row] == 0 and up != 0):
                         continue
                     i_low, i_high = max(i0, w0, tx << _SHIFT), min(i1, w1, (tx << _SHIFT) + _MASK)
                     j_low, j_high = max(j0, v0, ty << _SHIFT), min(j1, v1, (ty << _SHIFT) + _MASK)
                     before = count
                     count = _enqueue_odd(
-                        queue, count, n, address[row], bits, row, q, i0, j0, ni, i_low, i_high, j_low, j_high, least,
-                        shares,
+                        queue, count, n, up, address[row], bits, row, q, i0, j0, ni, i_low, i_high, j_low, j_high,
+                        least, shares, main,
                     )  # fmt: skip
                     if count != before:
+                        begun[row] = 1
                         _widen(oldest, newest, row, stamps, n, stop)
-    drain(queue, count, planes.z, planes.q, stamps, model, min_distance)
+    _drain(queue, count, planes, stamps, rules, measures, tiles)

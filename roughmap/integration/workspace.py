@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roughmap.arrays import F8, I4, I8, U1, U2, U8
+from roughmap.arrays import F4, F8, I4, I8, U1, U2, U8
 from roughmap.cell import PointReason
-from roughmap.integration.cell_update import QUEUE, RUN
+from roughmap.integration.drains import QUEUE, RUN
 from roughmap.points.moving import MovingScratch, moving_scratch
 from roughmap.points.place import BLOCK, PLANES, STRIDE
 from roughmap.tiles.index import rehash
@@ -35,18 +35,26 @@ class Planes(NamedTuple):
     A point is plain if its footprint is at most 2 x 2 cells of one tile, else it is odd. Consecutive plain points of
     the same tile form a run; each odd point is a run of its own.
 
-    For each point, ``z``: height in the map frame; ``reason``: see `PointReason`; ``q``: weight over share. For plain
-    points, ``corner``: cell (i, j) in its tile; ``weight`` (blocks, 4, BLOCK): weights in the cells (i, j), (i+1, j),
-    (i, j+1), (i+1, j+1), 0 where the share does not count.
+    For each point, ``x``, ``y`` (written only if the scan clears) and ``z``: position in the map frame, also of
+    rejected points that have a pose; ``reason``: see `PointReason`; ``common``: the height's variance from the pose,
+    square metres; ``mount``: its standard deviation from the mounting, metres; ``up``: 1 where the point can't be
+    ground, 0 in a map of all points; ``q``: weight over share. For plain points, ``corner``: cell (i, j) in its tile;
+    ``weight`` (blocks, 4, BLOCK): weights in the cells (i, j), (i+1, j), (i, j+1), (i+1, j+1), negative for the
+    largest share, 0 where the share does not count.
 
     For each run, ``run_start`` to ``run_stop``: its points; ``run_tile``: the row of its tile, or -1 - k for the odd
     point of row k. For each odd point, ``odd_box``: cells i0, j0, i1, j1, inclusive; ``odd_body``: x, y and four
-    numbers of the error body; ``odd_tile``: the row of its tile, or -1 if there are several. Each part of the work
-    writes its runs and odd points from the row on at which its range of points starts.
+    numbers of the error body; ``odd_tile``: the row of its tile, or if there are several -1 - ``up``. Each part of
+    the work writes its runs and odd points from the row on at which its range of points starts.
     """
 
+    x: F8
+    y: F8
     z: F8
     reason: U1
+    common: F4
+    mount: F4
+    up: U1
     corner: U2
     q: F8
     weight: F8
@@ -59,11 +67,16 @@ class Planes(NamedTuple):
 
 
 def _planes(blocks: int) -> Planes:
-    """Allocate planes. The pages of the rows for odd points stay unallocated until there are such points."""
+    """Allocate planes. The pages of x, y and the rows for odd points stay unallocated until they are written."""
     number = blocks * BLOCK
     return Planes(
         np.empty(number),
+        np.empty(number),
+        np.empty(number),
         np.zeros(number, np.uint8),
+        np.empty(number, np.float32),
+        np.empty(number, np.float32),
+        np.empty(number, np.uint8),
         np.empty(number, np.uint16),
         np.empty(number),
         np.empty((blocks, 4, BLOCK)),
@@ -93,18 +106,23 @@ class Block(NamedTuple):
 
 
 class Queue(NamedTuple):
-    """Pending updates of cells: addresses of the cells, weights, numbers of the points."""
+    """Pending updates of cells.
+
+    ``cell``: address of the cell, + 1 if the point looks up. ``weight``: negative in the cell of the point's largest
+    share. ``point``: number of the point, + 2^32 times the row of the tile. ``trust``: address of the cell's trust.
+    """
 
     cell: U8
     weight: F8
-    point: I8
+    point: U8
+    trust: U8
 
 
 class TouchedTiles:
     """The tiles that a range of points touches, by key, in a small hash table that doubles when it is half full.
 
-    ``work``: number of points in each tile. ``number``: number of tiles. ``runs``: the row after the last run.
-    ``rejected``: number of points by `PointReason`.
+    ``work``: number of points in each tile. ``founded``: 1 for tiles with a point that can be ground. ``number``:
+    number of tiles. ``runs``: the row after the last run. ``rejected``: number of points by `PointReason`.
     """
 
     def __init__(self) -> None:
@@ -117,17 +135,19 @@ class TouchedTiles:
         self.table = np.full(1024, -1, np.int32)
         self.keys = np.zeros(512, np.uint64)
         self.work = np.zeros(512, np.int64)
+        self.founded = np.zeros(512, np.uint8)
 
     @property
-    def arrays(self) -> tuple[I4, U8, I8, I8]:
-        """The arrays for the kernels: table, keys, work, rejected."""
-        return self.table, self.keys, self.work, self.rejected
+    def arrays(self) -> tuple[I4, U8, I8, U1, I8]:
+        """The arrays for the kernels: table, keys, work, founded, rejected."""
+        return self.table, self.keys, self.work, self.founded, self.rejected
 
     def clear(self) -> None:
         """Remove all tiles, and free the memory that a scan over very many tiles took."""
         if len(self.table) > _KEPT_TILES:
             self._begin()
         self.table[:] = -1
+        self.founded[:] = 0
         self.number = 0
         self.rejected[:] = 0
 
@@ -135,6 +155,7 @@ class TouchedTiles:
         """Double the capacity."""
         self.keys = np.append(self.keys, np.zeros_like(self.keys))
         self.work = np.append(self.work, np.zeros_like(self.work))
+        self.founded = np.append(self.founded, np.zeros_like(self.founded))
         self.table = np.empty(2 * len(self.table), np.int32)
         rehash(self.table, self.keys, self.number)
 
@@ -154,7 +175,9 @@ class ThreadScratch:
         self.lines = np.zeros((5, side + 1))
         self.shares = np.empty(side * side)
         room = QUEUE + max(side * side, 4 * RUN)
-        self.queue = Queue(np.empty(room, np.uint64), np.empty(room), np.empty(room, np.int64))
+        self.queue = Queue(
+            np.empty(room, np.uint64), np.empty(room), np.empty(room, np.uint64), np.empty(room, np.uint64)
+        )
 
 
 class Workspace:

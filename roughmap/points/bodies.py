@@ -28,6 +28,9 @@ _PSD_SLACK = 1e-9
 HEIGHT_MAX = 1e150
 """Metres. Greater heights, up or down, are out of bounds, because their squares would overflow."""
 
+GROUND_HEIGHT_MAX = 1e7
+"""The same where cells have columns, whose bins are numbered in 32 bits."""
+
 _DENSITY_MIN, _DENSITY_MAX = 1e-140, 1e140
 """Range of weight per share in which W and W2 neither overflow nor underflow."""
 
@@ -73,7 +76,7 @@ def _position_reason(
         & (g0 >= _INT_MIN)
         & (f1 <= _INT_MAX)
         & (g1 <= _INT_MAX)
-        & (abs(z) <= HEIGHT_MAX)
+        & (abs(z) <= area[4])
     )
     reason = np.uint8(_BOUNDS) if (before == 0) & (not inside) else np.uint8(before)
     finite = (abs(x) < math.inf) & (abs(y) < math.inf) & (abs(z) < math.inf)
@@ -166,8 +169,9 @@ def bound_cuboids(
 ) -> None:
     """`cuboid`: for one block, set cells, reasons, ``body`` (>= 2, BLOCK): rx, ry, and ``q`` = w / p = a / (rx ry rz).
 
-    ``planes``: see `place`. ``area``: xmin, ymin, xmax, ymax, half-open, metres. ``error``: coverage, min_radius,
-    max_horizontal_radius, max_vertical_sigma. Points that already have a reason keep it. ``kept`` (BLOCK,) is scratch.
+    ``planes``: see `place`. ``area``: xmin, ymin, xmax, ymax, half-open, and the largest height, up or down, metres.
+    ``error``: coverage, min_radius, max_horizontal_radius, max_vertical_sigma. Points that already have a reason keep
+    it. ``kept`` (BLOCK,) is scratch.
     """
     _keep(reason, kept)
     if _bound_cuboids(planes, reason, cells, body, q, a, area, error, False):

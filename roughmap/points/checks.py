@@ -2,6 +2,7 @@
 
 import math
 import operator
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +49,21 @@ def checked_number(name: str, value: float, least: float, *, finite: bool = Fals
     if not isinstance(value, int | float | np.number) or not value >= least or (finite and not math.isfinite(value)):
         wanted = f"a {kind}" if least == -math.inf else f"a {kind} of at least {least:g}"
         raise ValueError(f"{name}: expected {wanted}, got {value!r}")
+
+
+def checked_time(name: str, value: float) -> None:
+    """Raise ValueError unless ``value`` is a finite number of seconds above 0."""
+    checked_number(name, value, 0.0, finite=True)
+    if value == 0.0:
+        raise ValueError(f"{name}: expected a number of seconds above 0, got {value!r}")
+
+
+def checked_each(value: npt.ArrayLike, number: int, kinds: str, name: str) -> npt.NDArray[Any]:
+    """Return numbers of these dtype kinds as (N,), or (1,) for one that all points share; else raise ValueError."""
+    array = np.asarray(value)
+    if array.shape not in ((), (number,)) or (array.dtype.kind not in kinds and array.size):
+        raise ValueError(f"{name}: expected one value or {number}, got {array.dtype} of shape {array.shape}")
+    return np.require(array.reshape(-1), np.bool_ if kinds == "b" else np.float64, ["C", "A", "W"])
 
 
 def checked_floats(value: npt.ArrayLike, shape: tuple[int, ...], name: str) -> F8:

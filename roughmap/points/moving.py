@@ -11,13 +11,16 @@ from roughmap.jit import inline
 from roughmap.points.place import (
     BLOCK,
     BRACKET,
+    COMMON,
     FRACTION,
+    MOUNT,
     PLANES,
     QUAT,
     REASON,
     SINCE,
     STRIDE,
     UNTIL,
+    UP,
     S,
     X,
     Y,
@@ -29,6 +32,7 @@ from roughmap.points.place import (
     reject_above,
     reject_own_body,
     set_covariance,
+    set_heights,
 )
 from roughmap.points.propagation import shared_terms
 from roughmap.points.rotations import rotation_matrix
@@ -183,23 +187,35 @@ def _place_run(
     if limits[2] < math.inf:
         for k in range(low, high):
             reject_above(P, k, P[BRACKET, k] == own, limits)
-    if with_covariance:
-        if is_uncertain(mount):
-            _set_covariances(P, own, pair, low, high, beam, mount, True)
-        else:
-            _set_covariances(P, own, pair, low, high, beam, mount, False)
+    if is_uncertain(mount):
+        _set_moving(P, own, pair, low, high, beam, mount, True, with_covariance)
+    else:
+        _set_moving(P, own, pair, low, high, beam, mount, False, with_covariance)
 
 
 @inline
-def _set_covariances(
-    P: F8, own: Scalar, pair: Scalar, low: Scalar, high: Scalar, beam: Scalar, mount: Scalar, mounted: Scalar
-) -> None:
-    for first in range(low, high, STEP):
-        for k in range(STEP):
-            n = np.uint64(first) + np.uint64(k)
-            r = rotation_matrix(P[QUAT, n], P[QUAT + 1, n], P[QUAT + 2, n], P[QUAT + 3, n])
-            pose = (*r, 0.0, 0.0, 0.0, *covariance_at(pair, P[FRACTION, n]))
-            set_covariance(P, n, P[BRACKET, n] == own, beam, shared_terms(pose, mount, mounted), mounted)
+def _terms_at(P: F8, n: Scalar, pair: Scalar, mount: Scalar, mounted: Scalar) -> Scalar:
+    """Return `shared_terms` of the pose at the time of point ``n``."""
+    r = rotation_matrix(P[QUAT, n], P[QUAT + 1, n], P[QUAT + 2, n], P[QUAT + 3, n])
+    return shared_terms((*r, 0.0, 0.0, 0.0, *covariance_at(pair, P[FRACTION, n])), mount, mounted)
+
+
+@inline
+def _set_moving(
+    P: F8, own: Scalar, pair: Scalar, low: Scalar, high: Scalar, beam: Scalar, mount: Scalar, mounted: Scalar,
+    with_covariance: Scalar,
+) -> None:  # fmt: skip
+    if with_covariance:
+        for first in range(low, high, STEP):
+            for k in range(STEP):
+                n = np.uint64(first) + np.uint64(k)
+                terms = _terms_at(P, n, pair, mount, mounted)
+                set_covariance(P, n, P[BRACKET, n] == own, beam, terms, mounted)
+    else:
+        for first in range(low, high, STEP):
+            for k in range(STEP):
+                n = np.uint64(first) + np.uint64(k)
+                set_heights(P, n, P[BRACKET, n] == own, _terms_at(P, n, pair, mount, mounted), mounted)
 
 
 @inline
@@ -249,7 +265,7 @@ def _place_by_bracket(
     for k in range(number):
         n = order[k]
         bracket[n] = _PLACED
-        for row in (X, Y, Z, REASON, S, S + 1, S + 2, S + 3, S + 4, S + 5):
+        for row in (X, Y, Z, REASON, S, S + 1, S + 2, S + 3, S + 4, S + 5, COMMON, MOUNT, UP):
             P[row, n] = Q[row, k]
 
 

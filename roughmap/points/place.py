@@ -12,7 +12,7 @@ from roughmap.arrays import F8, U1, Scalar
 from roughmap.cell import PointReason
 from roughmap.intrinsics import pointer
 from roughmap.jit import inline, kernel
-from roughmap.points.propagation import point_covariance, rotate, shared_terms
+from roughmap.points.propagation import height_variances, point_covariance, rotate, shared_terms
 from roughmap.points.trajectory import find_bracket, interpolate
 
 BLOCK = 256
@@ -30,10 +30,15 @@ REASON, BRACKET = 3, 4
 _LEVER, _BEAM, _SQUARE = 5, 8, 11
 SINCE, UNTIL, FRACTION, QUAT = 12, 13, 14, 15
 S = 19
-PLANES = 25
+COMMON, MOUNT, UP = 25, 26, 27
+PLANES = 28
 """Rows of a block's planes (PLANES, STRIDE): position (X to Z); reason and bracket of each point, as floats; both
 levers and the squared range; times since the pose before and until the pose after, the fraction between them and the
-quaternion there; upper triangle of the covariance (S and five more)."""
+quaternion there; upper triangle of the covariance (S and five more); variances of the height from the pose and from
+the mounting; 1 for a point that looks up."""
+
+_STEEPEST = 0.546
+"""tan 0.5 rad. Seen from the sensor, no ground of at most this slope rises more steeply."""
 
 _NOT_FINITE = float(PointReason.NOT_FINITE)
 _NO_RETURN = float(PointReason.NO_RETURN)
@@ -100,6 +105,8 @@ def place(P: F8, n: Scalar, r: Scalar, t: Scalar, own: Scalar, mounting: Scalar,
     P[_BEAM + 1, n] = m[1]
     P[_BEAM + 2, n] = m[2]
     P[_SQUARE, n] = square
+    up = 1.0 if m[2] > _STEEPEST * math.sqrt(m[0] * m[0] + m[1] * m[1]) else 0.0
+    P[UP, n] = up if own else P[UP, n]
 
 
 @inline
@@ -111,11 +118,24 @@ def reject_above(P: F8, n: Scalar, own: Scalar, limits: Scalar) -> None:
 
 
 @inline
+def set_heights(P: F8, n: Scalar, own: Scalar, common: Scalar, mounted: Scalar) -> None:
+    """Set the variances of the height of point ``n`` from its pose and its mounting alone; otherwise as
+    `set_covariance`."""
+    l = (P[_LEVER, n], P[_LEVER + 1, n], P[_LEVER + 2, n])  # noqa: E741
+    m = (P[_BEAM, n], P[_BEAM + 1, n], P[_BEAM + 2, n])
+    pose, mount = height_variances(l, m, common, mounted)
+    P[COMMON, n] = pose if own else P[COMMON, n]
+    P[MOUNT, n] = mount if own else P[MOUNT, n]
+
+
+@inline
 def set_covariance(P: F8, n: Scalar, own: Scalar, beam: Scalar, common: Scalar, mounted: Scalar) -> None:
-    """Set the covariance of point ``n``, if it belongs to the pose (``own``), from the levers that `place` wrote.
+    """Set the covariance of point ``n`` and its parts, if it belongs to the pose (``own``), from the levers that
+    `place` wrote.
 
     ``common``, ``mounted``: see `shared_terms`.
     """
+    set_heights(P, n, own, common, mounted)
     l = (P[_LEVER, n], P[_LEVER + 1, n], P[_LEVER + 2, n])  # noqa: E741
     m = (P[_BEAM, n], P[_BEAM + 1, n], P[_BEAM + 2, n])
     s = point_covariance(l, m, P[_SQUARE, n], beam, common, mounted)
@@ -135,12 +155,23 @@ def is_uncertain(mount: Scalar) -> Scalar:
 
 
 @inline
+def _set_still(P: F8, beam: Scalar, common: Scalar, mounted: Scalar, with_covariance: Scalar) -> None:
+    if with_covariance:
+        for n in range(BLOCK):
+            set_covariance(P, n, True, beam, common, mounted)
+    else:
+        for n in range(BLOCK):
+            set_heights(P, n, True, common, mounted)
+
+
+@inline
 def place_still(planes: F8, reason: U1, with_covariance: bool, posed: bool, pose: Scalar, rules: Scalar) -> None:
     """Place one block of points with a single pose (``posed`` False: there is none).
 
     ``planes`` (PLANES, STRIDE): rows X, Y, Z hold positions in the sensor's frame on entry and in the map frame on
-    return; rows from S on receive the upper triangles of the covariances. Both are undefined for rejected points.
-    ``reason`` (BLOCK,) is set. ``rules``: see `scan_rules`.
+    return; rows from S on receive the upper triangles of the covariances (if ``with_covariance``), COMMON and MOUNT
+    their parts in the height, UP whether the point looks up. All are undefined for rejected points. ``reason``
+    (BLOCK,) is set. ``rules``: see `scan_rules`.
     """
     P = fixed_shape(planes)
     mounting, beam, mount, limits, boxes = rules
@@ -153,15 +184,10 @@ def place_still(planes: F8, reason: U1, with_covariance: bool, posed: bool, pose
     if limits[2] < math.inf:
         for n in range(BLOCK):
             reject_above(P, n, True, limits)
-    if with_covariance:
-        if is_uncertain(mount):
-            common = shared_terms(pose, mount, True)
-            for n in range(BLOCK):
-                set_covariance(P, n, True, beam, common, True)
-        else:
-            common = shared_terms(pose, mount, False)
-            for n in range(BLOCK):
-                set_covariance(P, n, True, beam, common, False)
+    if is_uncertain(mount):
+        _set_still(P, beam, shared_terms(pose, mount, True), True, with_covariance)
+    else:
+        _set_still(P, beam, shared_terms(pose, mount, False), False, with_covariance)
     for n in range(BLOCK):
         reason[n] = np.uint8(P[REASON, n])
 

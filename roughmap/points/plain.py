@@ -36,17 +36,25 @@ def _store_weights(
     n: Scalar, p0: Scalar, p1: Scalar, p2: Scalar, p3: Scalar, one: Scalar, plain: Scalar, min_share: Scalar, q: F8,
     weight: F8, flags: U1,
 ) -> None:  # fmt: skip
-    """Store the weights of a point's four cells; ``one``: the footprint is a single cell."""
+    """Store the weights of a point's four cells, that of the largest share negative; ``one``: the footprint is a
+    single cell."""
     p0 = 1.0 if one else p0
     p1 = 0.0 if one else p1
     p2 = 0.0 if one else p2
     p3 = 0.0 if one else p3
     largest = max(max(p0, p1), max(p2, p3))  # noqa: PLW3301 - in pairs: two dependent steps instead of three
     least = min_share * largest
-    weight[0, n] = _weight(p0, least, q[n])
-    weight[1, n] = _weight(p1, least, q[n])
-    weight[2, n] = _weight(p2, least, q[n])
-    weight[3, n] = _weight(p3, least, q[n])
+    w0, w1 = _weight(p0, least, q[n]), _weight(p1, least, q[n])
+    w2, w3 = _weight(p2, least, q[n]), _weight(p3, least, q[n])
+    # The first of equal shares, row by row.
+    in0 = p0 == largest
+    in1 = (p1 == largest) & (not in0)
+    in2 = (p2 == largest) & (max(p0, p1) < largest)
+    in3 = max(max(p0, p1), p2) < largest  # noqa: PLW3301 - as above
+    weight[0, n] = -w0 if in0 else w0
+    weight[1, n] = -w1 if in1 else w1
+    weight[2, n] = -w2 if in2 else w2
+    weight[3, n] = -w3 if in3 else w3
     # A footprint finer than float64's spacing at its position is handled as an odd point.
     flags[n] = np.uint8(1) if plain & (largest > LEAST_SHARE) else np.uint8(0)
 

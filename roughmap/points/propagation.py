@@ -9,6 +9,9 @@ _NOTHING = (-0.0, -0.0, -0.0, -0.0, -0.0, -0.0)
 """Terms that change no sum, to the bit. The terms of a mounting without uncertainty are zeros of either sign, so only
 the sign of a sum that is zero anyway can depend on leaving them out, and on that sign depends no cell."""
 
+VARIANCE_MAX = 1e30
+"""Square metres; far above any that says something, and its sums stay finite in float32."""
+
 
 @inline
 def rotate(m: Scalar, x: Scalar, y: Scalar, z: Scalar) -> Scalar:
@@ -35,11 +38,12 @@ def _rotated_diagonal(r: Scalar, a: Scalar, b: Scalar, c: Scalar) -> Scalar:
 
 @inline
 def shared_terms(pose: Scalar, mount: Scalar, mounted: Scalar) -> Scalar:
-    """Return the terms of the covariance that all points of a pose share, 27 numbers.
+    """Return the terms of the covariance that all points of a pose share, 29 numbers.
 
     A (6, upper triangle): translation block of S_pose plus that of S_mount in map axes; B (9): translation-rotation
-    block of S_pose; C (6): rotation block of S_pose; D (6): rotation block of S_mount in map axes. ``mounted`` False:
-    ``mount`` is zero. A constant, so that its terms are not compiled.
+    block of S_pose; C (6): rotation block of S_pose; D (6): rotation block of S_mount in map axes; the zz entries of
+    both translation blocks, apart. ``mounted`` False: ``mount`` is zero. A constant, so that its terms are not
+    compiled.
     """
     shift = _rotated_diagonal(pose, mount[0], mount[1], mount[2]) if mounted else _NOTHING
     tilt = _rotated_diagonal(pose, mount[3], mount[4], mount[5]) if mounted else _NOTHING
@@ -71,6 +75,8 @@ def shared_terms(pose: Scalar, mount: Scalar, mounted: Scalar) -> Scalar:
         tilt[3],
         tilt[4],
         tilt[5],
+        pose[23],
+        shift[5],
     )
 
 
@@ -95,6 +101,31 @@ def _lever_square(c0: Scalar, c1: Scalar, c2: Scalar, c3: Scalar, c4: Scalar, c5
         x * d22 - z * d02,
         y * d02 - x * d12,
     )
+
+
+@inline
+def _lever_height(c0: Scalar, c1: Scalar, c3: Scalar, l: Scalar) -> Scalar:  # noqa: E741
+    """Return the zz entry of `_lever_square`."""
+    x, y, _ = l
+    return y * (c0 * y - c1 * x) - x * (c1 * y - c3 * x)
+
+
+@inline
+def height_variances(l: Scalar, m: Scalar, s: Scalar, mounted: Scalar) -> Scalar:  # noqa: E741
+    """Return the parts of S's zz entry that come from the pose and from the mounting: zz of J S_pose J^T, of
+    J_m S_mount J_m^T. Rounding may leave them slightly negative."""
+    x, y, _ = l
+    b22 = s[12] * y - s[13] * x
+    pose = s[27] + (b22 + b22) + _lever_height(s[15], s[16], s[18], l)
+    return pose, s[28] + _lever_height(s[21], s[22], s[24], m) if mounted else 0.0
+
+
+@inline
+def counted_variance(variance: Scalar) -> Scalar:
+    """Return a variance as the trust of a cell counts it: at least 0, at most VARIANCE_MAX, and that for NaN."""
+    # A comparison instead of min(), which lets NaN through.
+    most = variance if variance < VARIANCE_MAX else VARIANCE_MAX
+    return most if most > 0.0 else 0.0
 
 
 @inline

@@ -9,7 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap.arrays import F8, I8
-from roughmap.points.checks import checked_floats, checked_integers, checked_number, checked_points, checked_stamp
+from roughmap.points.checks import (
+    checked_floats,
+    checked_integers,
+    checked_number,
+    checked_points,
+    checked_stamp,
+    checked_time,
+)
 from roughmap.points.rotations import matrix_of, unit_quaternions
 
 Six = tuple[float, float, float, float, float, float]
@@ -55,12 +62,14 @@ class Noise:
 
     ``range_sigma`` metres; ``range_sigma_per_m`` metres per metre of range; ``beam_sigma`` radians across the beam;
     ``mount_sigma``: x y z roll pitch yaw of the mounting, metres and radians, in the robot's axes (None: zeros).
+    ``pose_error_time``: seconds, above 0, over which the errors of the robot's poses stay alike.
     """
 
     range_sigma: float
     range_sigma_per_m: float = 0.0
     beam_sigma: float = 0.0
     mount_sigma: Sequence[float] | None = None
+    pose_error_time: float = 5.0
 
     def __post_init__(self) -> None:
         for name in ("range_sigma", "range_sigma_per_m", "beam_sigma"):
@@ -68,6 +77,7 @@ class Noise:
         mount = checked_floats([0.0] * 6 if self.mount_sigma is None else self.mount_sigma, (6,), "Noise.mount_sigma")
         if (mount < 0.0).any():
             raise ValueError("Noise.mount_sigma: expected six numbers of at least 0")
+        checked_time("Noise.pose_error_time", self.pose_error_time)
         object.__setattr__(self, "mount_sigma", tuple(mount.tolist()))
 
     @property

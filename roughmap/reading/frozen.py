@@ -14,7 +14,9 @@ from roughmap.cell import CELL_DTYPE, TILE_CELLS
 from roughmap.reading import layers, levels, terrain
 from roughmap.reading.cell_values import cell_layers, packed_cell_layers
 from roughmap.reading.merge_cache import MergeCache
+from roughmap.tiles.digest import tile_digest
 from roughmap.tiles.index import TILE_LIMIT, TileBox
+from roughmap.tiles.state import TileState
 from roughmap.tiles.table import TileTable
 
 UNKNOWN_TILE = np.zeros((TILE_CELLS, TILE_CELLS), dtype=CELL_DTYPE)
@@ -159,8 +161,20 @@ class FrozenMap:
         """Return the number of known cells in the tile."""
         return int(np.count_nonzero(self.records(x, y)["count"]))
 
+    def state(self, x: int, y: int) -> TileState | None:
+        """Return the arrays of a tile of level 0, read-only; None if absent."""
+        place = self._index[0].find(x, y)
+        if place < 0:
+            return None
+        if self._slots is None:
+            raise ValueError("this frozen map is closed")
+        return self._table.state(int(self._slots[place]))
+
     def digest(self, x: int, y: int) -> str:
-        """Return the XXH3-128 of the tile's 4096 records, j outer, i inner, in hex."""
+        """Return the XXH3-128 of the tile in hex; see `tile_digest`. Above level 0, of its merged cells alone."""
+        state = self.state(x, y) if self.level == 0 else None
+        if state is not None:
+            return tile_digest(state).hex()
         return xxhash.xxh3_128_hexdigest(self.records(x, y).reshape(-1).view(np.uint8).data)
 
     def tile_layers(

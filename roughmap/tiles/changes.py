@@ -1,4 +1,7 @@
-"""Which tiles count as changed, at every level: those with a changed cell in them or in the ring of cells around."""
+"""Which tiles count as changed, at every level: those with a changed cell in them or in the ring of cells around.
+
+The ring is as wide as what a tile's layers are derived from.
+"""
 
 import numpy as np
 
@@ -7,7 +10,6 @@ from roughmap.cell import TILE_CELLS, TILE_SHIFT
 from roughmap.jit import inline, kernel
 from roughmap.tiles.index import find, tile_key
 
-_MASK = np.int64(TILE_CELLS - 1)
 _SHIFT = np.int64(TILE_SHIFT)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
@@ -22,30 +24,42 @@ def _low_bits(number: Scalar) -> Scalar:
     return (np.uint64(1) << np.uint64(number)) - np.uint64(1)
 
 
+def rings(surface: str, cell_size: float, levels: int) -> tuple[int, ...]:
+    """Return the width of the ring at each level, in its cells.
+
+    Slope needs the next cell. The ground's layers need the plane's radius, the overhang's and one cell more.
+    """
+    if surface == "all":
+        return (1,) * levels
+    sides = [cell_size * (1 << level) for level in range(levels)]
+    return tuple(min(round(max(0.3, 1.5 * s) / s), 6) + min(round(max(0.5, 2.0 * s) / s), 10) + 1 for s in sides)
+
+
 @kernel
-def mark_changed(level: int, table: I4, keys: U8, sequence: I8, tx: I4, ty: I4, bits: U8, now: int) -> None:
-    """Set the sequence ``now`` for the tiles of a level that changed, or whose one-cell ring changed.
+def mark_changed(level: int, ring: int, table: I4, keys: U8, sequence: I8, tx: I4, ty: I4, bits: U8, now: int) -> None:
+    """Set the sequence ``now`` for the tiles of a level that changed, or whose ring of 1 to 63 cells changed.
 
     ``tx``, ``ty`` (T,), ``bits`` (T, 64): level-0 tiles with their changed cells. A changed cell lies in a neighbour's
-    ring if it is within one cell of this level, 2^level cells of level 0, of the common border.
+    ring if it is within ``ring`` cells of this level, of 2^level cells of level 0 each, of the common border.
     """
-    side = np.int64(1) << level
+    reach = np.int64(ring) << level
+    far = (np.int64(TILE_CELLS) << level) - reach
     for n in range(len(tx)):
         x = np.int64(tx[n]) >> level
         y = np.int64(ty[n]) >> level
-        # Offset of the tile in its ancestor, which is 64 * side level-0 cells wide, in level-0 cells.
+        # Offset of the tile in its ancestor, which is 64 * 2^level level-0 cells wide, in level-0 cells.
         left = (np.int64(tx[n]) - (x << level)) << _SHIFT
         foot = (np.int64(ty[n]) - (y << level)) << _SHIFT
-        west = _low_bits(side - left)
-        east = ~_low_bits(_MASK * side - left)
+        west = _low_bits(reach - left)
+        east = ~_low_bits(far - left)
         inner = np.uint64(0)
         south = np.uint64(0)
         north = np.uint64(0)
         for j in range(TILE_CELLS):
             row = bits[n, j]
             inner |= row
-            south |= row if foot + j < side else np.uint64(0)
-            north |= row if foot + j >= _MASK * side else np.uint64(0)
+            south |= row if foot + j < reach else np.uint64(0)
+            north |= row if foot + j >= far else np.uint64(0)
         for dy in range(-1, 2):
             band = inner
             band = south if dy < 0 else band

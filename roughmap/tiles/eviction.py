@@ -30,8 +30,9 @@ class Eviction:
         self._table = table
         self._entries: I4 = cold[:number].astype(np.int32)
         self._slots = table.slot[self._entries]
-        self._digests = table.digest[self._entries]
-        self._known = table.digest_known[self._entries]
+        self._tiles = table.levels[0].tx[self._entries], table.levels[0].ty[self._entries]
+        self._digests = table.digests.digest[self._entries]
+        self._known = table.digests.known[self._entries]
         self._places = table.shelf.allocate(number)
         self._written = 0
         table.pool.pin(self._slots)
@@ -40,10 +41,10 @@ class Eviction:
         """Write the tiles to the shelf, one by one, without the lock. OSError if the shelf cannot take one."""
         pool, shelf = self._table.pool, self._table.shelf
         for n, (slot, place) in enumerate(zip(self._slots.tolist(), self._places.tolist(), strict=True)):
-            records = pool.records(slot)
+            state, known = pool.state(slot), pool.known_rows(slot)
             if not self._known[n]:
-                self._digests[n] = np.frombuffer(tile_digest(records), np.uint8)
-            shelf.write(place, records, pool.known_rows(slot))
+                self._digests[n] = np.frombuffer(tile_digest(state), np.uint8)
+            shelf.write(place, state, known, pool.based_rows(slot, known))
             self._written = n + 1
 
     def close(self) -> None:
@@ -51,8 +52,10 @@ class Eviction:
         table = self._table
         # The slots are pinned: a tile that changed meanwhile has moved to a new slot, and this one is no longer live.
         gone = (np.arange(self.number) < self._written) & table.pool.live[self._slots]
-        entries = self._entries[gone]
-        table.digest[entries], table.digest_known[entries] = self._digests[gone], True
+        # Tiles that were forgotten meanwhile have changed the numbers of the others' entries.
+        tx, ty = self._tiles
+        entries = table.levels[0].find_each(tx[gone], ty[gone])
+        table.digests.set(entries, self._digests[gone])
         table.slot[entries] = ~self._places[gone]
         table.pool.unpin(self._slots)
         table.pool.release(self._slots[gone])

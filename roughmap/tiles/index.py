@@ -5,7 +5,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from roughmap.arrays import I4, I8, U8, Scalar
+from roughmap.arrays import I4, I8, U8, Flags, Scalar
 from roughmap.cell import TILE_SHIFT
 from roughmap.jit import inline, kernel
 
@@ -98,6 +98,19 @@ def _insert_tiles(
 
 
 @kernel
+def _find_each(table: I4, keys: U8, tx: I4, ty: I4, entries: I4) -> None:
+    for n in range(len(tx)):
+        entries[n] = find(table, keys, tile_key(tx[n], ty[n]))
+
+
+@kernel
+def _mark_parents(table: I4, keys: U8, tx: I4, ty: I4, flags: Flags) -> None:
+    """Set the flags of the entries one level above the tiles (T,)."""
+    for n in range(len(tx)):
+        flags[find(table, keys, tile_key(np.int32(tx[n] >> 1), np.int32(ty[n] >> 1)))] = True
+
+
+@kernel
 def _find_box(
     table: I4,
     keys: U8,
@@ -125,6 +138,13 @@ def grown(array: npt.NDArray[T], size: int) -> npt.NDArray[T]:
     return larger
 
 
+def kept_rows(array: npt.NDArray[T], kept: I4) -> npt.NDArray[T]:
+    """Return a copy of ``array``, as long as it, with the rows ``kept`` first and zeros after them."""
+    fewer = np.zeros_like(array)
+    fewer[: len(kept)] = array[kept]
+    return fewer
+
+
 def paired(tx: I4, ty: I4) -> I4:
     """Return (T, 2) from two (T,); half the time of numpy's column_stack for few tiles."""
     tiles = np.empty((len(tx), 2), np.int32)
@@ -147,7 +167,7 @@ def ascending(known: I4, tx: I4, ty: I4) -> I4:
 
 
 class LevelIndex:
-    """The existing tiles of one level, each with its sequence. Entries are never removed."""
+    """The existing tiles of one level, each with its sequence. Entries are never removed; see :meth:`only`."""
 
     def __init__(self) -> None:
         self.size = 0
@@ -187,10 +207,40 @@ class LevelIndex:
         self.reserve(len(new_x))
         self.size = _insert_tiles(self.table, self.keys, self.tx, self.ty, self.size, new_x, new_y, shift)
 
+    def only(self, kept: I4) -> "LevelIndex":
+        """Return an index of the entries ``kept``, ascending, alone, which are numbered anew.
+
+        It has a hash of its own: with linear probing, entries can't be removed one by one without moving others.
+        """
+        index = LevelIndex()
+        index.size = len(kept)
+        index.keys, index.sequence = kept_rows(self.keys, kept), kept_rows(self.sequence, kept)
+        index.tx, index.ty = kept_rows(self.tx, kept), kept_rows(self.ty, kept)
+        index.table = np.empty_like(self.table)
+        rehash(index.table, index.keys, index.size)
+        number = np.full(self.size, -1, np.int32)
+        number[kept] = np.arange(len(kept), dtype=np.int32)
+        order = number[self._order]
+        index._order = order[order >= 0]
+        index._order.flags.writeable = False
+        return index
+
+    def with_children(self, below: "LevelIndex") -> I4:
+        """Return the entries that have a child among the tiles ``below``, one level down, ascending."""
+        flags = np.zeros(self.size, np.bool_)
+        _mark_parents(self.table, self.keys, below.tx[: below.size], below.ty[: below.size], flags)
+        return np.flatnonzero(flags).astype(np.int32)
+
     def find(self, tx: int, ty: int) -> int:
         """Return the entry of a tile, or -1."""
         number, entries = self._probe_box((tx, ty, tx, ty))
         return int(entries[0]) if number else -1
+
+    def find_each(self, tx: I4, ty: I4) -> I4:
+        """Return the entries of (T,) tiles, -1 for those that are not there."""
+        entries = np.empty(len(tx), np.int32)
+        _find_each(self.table, self.keys, np.ascontiguousarray(tx), np.ascontiguousarray(ty), entries)
+        return entries
 
     def _probe_box(self, box: TileBox) -> tuple[int, I4]:
         x0, y0, x1, y1 = box

@@ -1,8 +1,11 @@
 """The shelf: storage for the tiles that are not in memory."""
 
-from roughmap.arrays import Records
-from roughmap.cell import TILE_CELLS
+import numpy as np
+import numpy.typing as npt
+
+from roughmap.cell import BASED, CELL_DTYPE, COLUMN_DTYPE, TILE_CELLS, TRUST_DTYPE
 from roughmap.tiles.places import PlacePool
+from roughmap.tiles.state import TileState
 
 
 class Shelf(PlacePool):
@@ -17,26 +20,41 @@ class Shelf(PlacePool):
         """Number of places that `allocate` can still hand out."""
         return 0
 
-    def write(self, place: int, records: Records, rows: int) -> None:
-        """Write a tile's (4096,) records to an allocated place; ``rows``: bit j is set if row j has a known cell.
+    def write(self, place: int, state: TileState, known: int, based: int) -> None:
+        """Write a tile to an allocated place.
 
+        ``known``: bit j is set if row j has a known cell. ``based``: the same for based cells; 0 without a column.
         Called without the lock. OSError if the write fails; the caller then releases the place.
         """
         raise NotImplementedError
 
-    def read(self, place: int, records: Records) -> None:
-        """Read a live or pinned place into (4096,) zeroed records; rows without a known cell are not written.
+    def read(self, place: int, room: TileState) -> bool:
+        """Read a live or pinned place into zeroed arrays, all three; return whether the tile has a column.
 
-        Called without the lock, from any thread. Raises if the content is not what was written.
+        Rows without a known cell, and rows of the column without a based one, are not written. Called without the lock,
+        from any thread. Raises if the content is not what was written.
         """
         raise NotImplementedError
 
 
-def copy_known_rows(source: Records, target: Records) -> None:
-    """Copy (4096,) records onto zeroed ones. Rows without a known cell are skipped: their pages stay unallocated."""
-    rows = source.reshape(TILE_CELLS, TILE_CELLS)
-    known = (rows["count"] != 0).any(axis=1)
-    target.reshape(TILE_CELLS, TILE_CELLS)[known] = rows[known]
+def empty_state() -> TileState:
+    """Return the three arrays of a tile, zeroed."""
+    number = TILE_CELLS * TILE_CELLS
+    return TileState(*(np.zeros(number, dtype) for dtype in (CELL_DTYPE, TRUST_DTYPE, COLUMN_DTYPE)))
+
+
+def copy_known_rows(source: TileState, target: TileState) -> None:
+    """Copy a tile onto zeroed arrays. Rows that hold nothing are skipped, so that their pages stay unallocated."""
+    known = (_rows(source.cells)["count"] != 0).any(axis=1)
+    _rows(target.cells)[known] = _rows(source.cells)[known]
+    _rows(target.trust)[known] = _rows(source.trust)[known]
+    if source.column is not None and target.column is not None:
+        based = (_rows(source.column)["flags"] & BASED != 0).any(axis=1)
+        _rows(target.column)[based] = _rows(source.column)[based]
+
+
+def _rows(array: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
+    return array.reshape(TILE_CELLS, TILE_CELLS)
 
 
 def runs_of(rows: int) -> list[tuple[int, int]]:

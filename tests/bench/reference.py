@@ -60,8 +60,8 @@ def c_core(folder: Path, drive: Drive) -> Callable[[], Tiles]:
     entry = _library("core", folder).integrate
     entry.restype = None
     placed = [georeference(scan, drive.way, NOISE) for scan in drive.scans]
-    points = np.concatenate([p[reason == 0] for p, _, reason in placed])
-    variance = np.concatenate([np.diagonal(S, axis1=1, axis2=2)[reason == 0] for _, S, reason in placed])
+    points = np.concatenate([p.points[p.reason == 0] for p in placed])
+    variance = np.concatenate([np.diagonal(p.covariance, axis1=1, axis2=2)[p.reason == 0] for p in placed])
     sigmas = COVERAGE * np.sqrt(variance)
     kept = sigmas[:, :2].max(axis=1) <= WIDEST
     points, radii = points[kept], np.maximum(sigmas[kept], MIN_RADIUS)

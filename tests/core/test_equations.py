@@ -40,7 +40,7 @@ def test_eq_1_georeferencing() -> None:
     pose[0, 0, 5] = pose[0, 5, 0] = 2e-5
     trajectory = Trajectory([7], [(10, 20, 5)], [(0, 0, sqrt(0.5), sqrt(0.5))], pose)
     noise = Noise(0.02, 0.0025, 0.005, mount_sigma=(0.02, 0, 0, 0, 0.01, 0))
-    points, covariance, reason = georeference(Scan([(4, 0, 0)], 7, translation=(1, 0, 2)), trajectory, noise)
+    points, covariance, reason, *_ = georeference(Scan([(4, 0, 0)], 7, translation=(1, 0, 2)), trajectory, noise)
     assert reason.tolist() == [0]
     np.testing.assert_allclose(points, [(10, 25, 7)], rtol=1e-15)
     # A rotation by 90 degrees is off by 1e-16, and so are the zeros.

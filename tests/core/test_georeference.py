@@ -33,8 +33,8 @@ def pose_then(way: Trajectory, t: int, gap_s: float) -> tuple[np.ndarray, Rotati
     )
 
 
-def place(scan: Scan, way: Trajectory, noise: Noise, n: int, gap_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return one point and its covariance, in the design's notation."""
+def place(scan: Scan, way: Trajectory, noise: Noise, n: int, gap_s: float) -> tuple[np.ndarray, ...]:
+    """Return one point, the three parts of its covariance, and its lever from the sensor, in the design's notation."""
     t = scan.stamp_ns + (0 if scan.offsets_ns is None else int(scan.offsets_ns[n]))
     found = pose_then(way, t, gap_s)
     assert found is not None
@@ -52,25 +52,32 @@ def place(scan: Scan, way: Trajectory, noise: Noise, n: int, gap_s: float) -> tu
     J_m = np.hstack([np.eye(3), -cross(lever_m)])
     axes = np.kron(np.eye(2), turn.as_matrix())
     S_mount = axes @ np.diag(np.square(noise.mount_sigma)) @ axes.T
-    return position + lever, R_ms @ S_sensor @ R_ms.T + J @ S_pose @ J.T + J_m @ S_mount @ J_m.T
+    return position + lever, R_ms @ S_sensor @ R_ms.T, J @ S_pose @ J.T, J_m @ S_mount @ J_m.T, lever_m
 
 
 @examples(150)
 @given(scan=scans(most=12), way=trajectories(), noise=noises, rules=limits)
 def test_any_scan(scan: Scan, way: Trajectory, noise: Noise, rules: Limits) -> None:
-    points, covariance, reason = georeference(scan, way, noise, rules)
+    points, covariance, reason, common, mount, up = georeference(scan, way, noise, rules)
     for n in range(len(points)):
         if reason[n] != 0:
             assert np.isnan(points[n]).all()
             assert np.isnan(covariance[n]).all()
+            assert np.isnan([common[n], mount[n]]).all()
+            assert not up[n]
             continue
-        where, S = place(scan, way, noise, n, rules.max_pose_gap)
+        where, S_beam, S_pose, S_mount, lever = place(scan, way, noise, n, rules.max_pose_gap)
+        S = S_beam + S_pose + S_mount
         # float64 near 5e6 has steps of 1e-9; levers of up to 30 m add about 1e-14. scipy's slerp uses the library's
         # sine and differs by about 1e-15, near half a turn by 1e-15 / sinc.
         np.testing.assert_allclose(points[n], where, rtol=0, atol=4e-9 if abs(where).max() > 1e4 else 1e-11)
         # Levers are computed before the position is added: as exact in UTM as at the origin.
         np.testing.assert_allclose(covariance[n], S, rtol=0, atol=1e-11 * np.trace(S))
         np.testing.assert_array_equal(covariance[n], covariance[n].T)
+        np.testing.assert_allclose(common[n], S_pose[2, 2], rtol=0, atol=1e-11 * np.trace(S_pose))
+        np.testing.assert_allclose(mount[n], S_mount[2, 2], rtol=0, atol=1e-11 * np.trace(S_mount))
+        rise = lever[2] / np.hypot(lever[0], lever[1])
+        assert up[n] == (rise > 0.546) or abs(rise - 0.546) < 1e-9
 
 
 def test_the_lever_is_measured_from_the_base() -> None:
@@ -102,7 +109,7 @@ def test_quaternions_are_normalised(scale: float) -> None:
     way = Trajectory([0], [(0, 0, 0)], [turn * scale], np.zeros((1, 6, 6)))
     # (x, y, z) -> (-y, -z, x)? A third of a turn: the expected values are scipy's for the unit quaternion.
     expected = Rotation.from_quat(turn).apply(Rotation.from_quat(turn).apply((1.0, 2.0, 3.0)))
-    points, _, _ = georeference(scan, way, Noise(0.01))
+    points, *_ = georeference(scan, way, Noise(0.01))
     np.testing.assert_allclose(points[0], expected, rtol=1e-15)
 
 
@@ -119,8 +126,8 @@ def test_only_the_upper_triangle_of_a_pose_covariance_is_read() -> None:
     factor = rng.normal(0, 0.01, (6, 6))
     whole = factor @ factor.T
     scan = Scan(rng.normal(0, 5, (20, 3)), 0)
-    _, a, _ = georeference(scan, Trajectory([0], [(0, 0, 0)], [(0, 0, 0, 1)], whole[None]), Noise(0.01))
-    _, b, _ = georeference(scan, Trajectory([0], [(0, 0, 0)], [(0, 0, 0, 1)], np.triu(whole)[None]), Noise(0.01))
+    _, a, *_ = georeference(scan, Trajectory([0], [(0, 0, 0)], [(0, 0, 0, 1)], whole[None]), Noise(0.01))
+    _, b, *_ = georeference(scan, Trajectory([0], [(0, 0, 0)], [(0, 0, 0, 1)], np.triu(whole)[None]), Noise(0.01))
     np.testing.assert_array_equal(a, b)
 
 
@@ -150,7 +157,7 @@ def test_monte_carlo(roll: float, yaw: float, tilt: float, mount: tuple[float, .
     noise = Noise(0.02, 0.001, 0.004, mount)
     way = Trajectory([START_NS], [position], [turn.as_quat()], S_pose[None])
     scan = Scan([p], START_NS, translation=translation, rotation=mounted.as_quat())
-    points, covariance, _ = georeference(scan, way, noise)
+    points, covariance, *_ = georeference(scan, way, noise)
 
     r = np.linalg.norm(p)
     u = p / r
@@ -172,6 +179,6 @@ def test_a_sphere_of_errors_stays_a_sphere() -> None:
     """range_sigma = beam_sigma r makes the scanner's error a sphere, which no rotation changes."""
     scan = Scan([(0.0, 3.0, 4.0)], 0, rotation=(0.3, 0.1, -0.7, 0.2))
     way = Trajectory([0], [(9, 9, 9)], [(0.1, -0.2, 0.5, 0.8)], np.zeros((1, 6, 6)))
-    _, covariance, reason = georeference(scan, way, Noise(0.05, beam_sigma=0.01))
+    _, covariance, reason, *_ = georeference(scan, way, Noise(0.05, beam_sigma=0.01))
     assert reason[0] == PointReason.KEPT
     np.testing.assert_allclose(covariance[0], turned(np.eye(3), np.array([0.05] * 3)), rtol=1e-13, atol=1e-17)

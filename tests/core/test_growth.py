@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from properties import examples
 
 from roughmap import RoughMap
+from roughmap.tiles import digest
 from roughmap.tiles import table as tiles
 from roughmap.tiles.index import LevelIndex
-from roughmap.tiles.slots import SLAB_SLOTS, SlotPool
+from roughmap.tiles.slabs import SLAB_PLACES
+from roughmap.tiles.slots import SlotPool
 
 TILE = st.tuples(st.integers(-(2**25), 2**25 - 1), st.integers(-3, 3))
 
@@ -53,30 +55,32 @@ def test_tiles_are_sorted_for_any_order_of_insertion(rounds: list[list[tuple[int
         assert [((x, y), s) for (x, y), s in zip(then.tolist(), theirs.tolist(), strict=True)] == was
 
 
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", range(6))
 @pytest.mark.parametrize("dense", [False, True])
 def test_slots_stay_where_their_memory_is(monkeypatch: pytest.MonkeyPatch, number: int, dense: bool) -> None:
     pool = SlotPool()
-    pool.allocate(SLAB_SLOTS)
-    flags = np.full(SLAB_SLOTS, dense)
+    pool.allocate(SLAB_PLACES)
+    flags = np.full(SLAB_PLACES, dense)
     with monkeypatch.context() as patch:
         patch.setattr(np, "append", failing(number, np.append))
         with pytest.raises(MemoryError):
-            pool.allocate(SLAB_SLOTS, flags)
-    assert pool.used == SLAB_SLOTS
-    for slot in pool.allocate(SLAB_SLOTS, flags).tolist():
+            pool.allocate(SLAB_PLACES, flags)
+    assert pool.used == SLAB_PLACES
+    for slot in pool.allocate(SLAB_PLACES, flags).tolist():
         assert pool.records(slot).ctypes.data == pool.address[slot]
         assert pool.dense[slot] == dense
 
 
-@pytest.mark.parametrize("number", range(6))
+@pytest.mark.parametrize("number", range(7))
 def test_a_map_without_memory_for_its_tables_is_as_it_was(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     points = [[6.4 * x + 0.1, 0.1, 0.0] for x in range(40)]
     m, whole = (RoughMap(error_model="point", threads=1) for _ in range(2))
     for part in points[:20], points:
         whole.add(part)
         with monkeypatch.context() as patch:
-            patch.setattr(tiles, "grown", failing(number, tiles.grown))
+            grown = failing(number, tiles.grown)
+            patch.setattr(tiles, "grown", grown)
+            patch.setattr(digest, "grown", grown)
             with pytest.raises(MemoryError):
                 m.add(part)
         m.add(part)

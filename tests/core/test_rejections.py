@@ -89,7 +89,7 @@ def test_not_finite_on_either_way_in(axis: int, value: float, model: str) -> Non
 def still(point: tuple[float, float, float], rules: Limits, **mounting: object) -> str:
     """Return why one point is rejected, for a robot at the map's origin."""
     way = Trajectory([0], [(0, 0, 0)], [(0, 0, 0, 1)], np.zeros((1, 6, 6)))
-    _, _, reason = georeference(Scan([point], 0, **mounting), way, Noise(0.01), rules)
+    _, _, reason, *_ = georeference(Scan([point], 0, **mounting), way, Noise(0.01), rules)
     return REASON_NAMES[reason[0]]
 
 

@@ -1,0 +1,145 @@
+"""The queue of pending updates: cells and their trust, in the order of the points."""
+
+import numpy as np
+
+from roughmap.arrays import I8, Scalar
+from roughmap.cell import CELL_DTYPE, COLUMN_DTYPE
+from roughmap.integration.cell_update import update_cell
+from roughmap.integration.column_update import take_misfit
+from roughmap.integration.trust_update import alike_for, update_trust
+from roughmap.jit import inline, kernel
+from roughmap.points.footprint import POINT
+from roughmap.tiles.slots import floats, words
+
+QUEUE = 512
+"""Length of the queue of pending updates: the cells, prefetched meanwhile, fit the first-level caches."""
+
+RUN = 64
+"""Most points that are queued together."""
+
+ROW = np.uint64(32)
+"""Bits of a queued point that hold its number; the row of its tile is above them."""
+
+_NUMBER = np.uint64(0xFFFFFFFF)
+_SECOND = np.uint64(1_000_000_000)
+_MILLISECOND = np.uint64(1_000_000)
+_CELL = np.uint64(CELL_DTYPE.itemsize)
+_COLUMN = np.uint64(COLUMN_DTYPE.itemsize)
+_UP = np.uint64(1)
+
+
+@inline
+def _times(stamp: Scalar) -> Scalar:
+    """Return whole seconds, and milliseconds modulo 2^32."""
+    t = np.uint64(stamp)
+    return t // _SECOND, np.uint32(t // _MILLISECOND)
+
+
+@kernel
+def drain_all(
+    queue: Scalar, count: Scalar, planes: Scalar, stamps: I8, model: int, min_distance: float, pose_error_time: float
+) -> None:
+    """Apply the first ``count`` updates of a queue, in order: every point counts.
+
+    A loop for each case: a test inside costs as much as a tenth of an update.
+    """
+    cell, weight, point, trust = queue
+    z, q, common, mount = planes.z, planes.q, planes.common, planes.mount
+    span = alike_for(pose_error_time)
+    if len(stamps) > 1:
+        for c in range(count):
+            n = point[c] & _NUMBER
+            density = q[n] if model != POINT else 1.0
+            second, ms = _times(stamps[n])
+            _apply(
+                cell[c], trust[c], abs(weight[c]), z[n], density, second, min_distance, common[n], mount[n], ms, span
+            )
+        return
+    second, ms = _times(stamps[0])
+    if model == POINT:
+        for c in range(count):
+            n = point[c] & _NUMBER
+            _apply(cell[c], trust[c], 1.0, z[n], 1.0, second, min_distance, common[n], mount[n], ms, span)
+        return
+    for c in range(count):
+        n = point[c] & _NUMBER
+        _apply(cell[c], trust[c], abs(weight[c]), z[n], q[n], second, min_distance, common[n], mount[n], ms, span)
+
+
+@inline
+def _apply(
+    address: Scalar, trust: Scalar, w: Scalar, h: Scalar, q: Scalar, second: Scalar, min_distance: Scalar,
+    common: Scalar, mount: Scalar, ms: Scalar, span: Scalar,
+) -> None:  # fmt: skip
+    g = update_cell(words(address), floats(address), h, w, q, second, min_distance)
+    update_trust(trust, g, common, mount, ms, span)
+
+
+@kernel
+def drain_ground(
+    queue: Scalar,
+    count: Scalar,
+    planes: Scalar,
+    stamps: I8,
+    model: int,
+    min_distance: float,
+    pose_error_time: float,
+    band: float,
+    tiles: Scalar,
+) -> None:
+    """Do the same for a map of the ground.
+
+    ``tiles``: by row, addresses of cells and of columns, and flags, set to 1 where a column is in use.
+    """
+    cell, weight, point, trust = queue
+    z, q, common, mount = planes.z, planes.q, planes.common, planes.mount
+    span = alike_for(pose_error_time)
+    if len(stamps) > 1:
+        for c in range(count):
+            n = point[c] & _NUMBER
+            density = q[n] if model != POINT else 1.0
+            second, ms = _times(stamps[n])
+            _take(
+                cell[c], trust[c], weight[c], z[n], density, second, min_distance, common[n], mount[n], ms, span, band,
+                model == POINT, point[c], tiles,
+            )  # fmt: skip
+        return
+    second, ms = _times(stamps[0])
+    if model == POINT:
+        for c in range(count):
+            n = point[c] & _NUMBER
+            _take(
+                cell[c], trust[c], 1.0, z[n], 1.0, second, min_distance, common[n], mount[n], ms, span, band, True,
+                point[c], tiles,
+            )  # fmt: skip
+        return
+    for c in range(count):
+        n = point[c] & _NUMBER
+        _take(
+            cell[c], trust[c], weight[c], z[n], q[n], second, min_distance, common[n], mount[n], ms, span, band, False,
+            point[c], tiles,
+        )  # fmt: skip
+
+
+@inline
+def _take(
+    word: Scalar, trust: Scalar, weight: Scalar, h: Scalar, q: Scalar, second: Scalar, min_distance: Scalar,
+    common: Scalar, mount: Scalar, ms: Scalar, span: Scalar, band: Scalar, alone: Scalar, point: Scalar, tiles: Scalar,
+) -> None:  # fmt: skip
+    """Apply one update. ``alone``: the point has no other cell."""
+    up = word & _UP
+    address = word ^ up
+    w = abs(weight)
+    known = np.uint32(words(address)[0]) != 0
+    if (up != 0) | (known & (abs(h - floats(address)[3]) > band)):
+        if known & (alone | (weight < 0.0)):
+            cells, columns, based = tiles
+            row = point >> ROW
+            based[row] = 1
+            column = columns[row] + (address - cells[row]) // _CELL * _COLUMN
+            take_misfit(
+                address, trust, column, h, w, q, second, ms, min_distance, band, common, mount, span, up != 0
+            )  # fmt: skip
+        return
+    g = update_cell(words(address), floats(address), h, w, q, second, min_distance)
+    update_trust(trust, g, common, mount, ms, span)
