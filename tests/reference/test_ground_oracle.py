@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from roughmap.cell import TILE_CELLS
+from roughmap.cell import BASED, CELL_DTYPE, COLUMN_DTYPE, TILE_CELLS, TRUST_DTYPE
 from roughmap.map import RoughMap
 from roughmap.points.footprint import ERROR_MODELS
 from roughmap.reference.ground import GroundOracle
@@ -90,15 +90,46 @@ CHOICES = st.fixed_dictionaries(
 """Settings of a map. The bounds cut through the first three places."""
 
 
-def records(m: RoughMap) -> dict[tuple[int, int], bytes]:
-    """Return the known cells of a map."""
-    with m.freeze() as frozen:
-        tiles = {(tx, ty): frozen.records(tx, ty) for tx, ty in frozen.tiles.tolist()}
-        return {
-            (tx * TILE_CELLS + i, ty * TILE_CELLS + j): cells[j, i].tobytes()
-            for (tx, ty), cells in tiles.items()
-            for j, i in np.argwhere(cells["count"] > 0).tolist()
-        }
+Found = dict[tuple[int, int], tuple[bytes, bytes, bytes]]
+"""Cell, trust and column by (i, j)."""
+
+
+def written(m: RoughMap) -> Found:
+    """Return all that a map holds, but for cells of which all is zero, and check that columns are where they belong."""
+    found: Found = {}
+    base = m._table.levels[0]
+    for n in range(base.size):
+        state = m._table.state(int(m._table.slot[n]))
+        cells, trust = state.cells, state.trust
+        column = np.zeros(len(cells), COLUMN_DTYPE) if state.column is None else state.column
+        assert (state.column is not None) == bool((column["flags"] & BASED).any())
+        for k in range(len(cells)):
+            record = cells[k].tobytes(), trust[k].tobytes(), column[k].tobytes()
+            if any(map(any, record)):
+                found[int(base.tx[n]) * TILE_CELLS + k % TILE_CELLS, int(base.ty[n]) * TILE_CELLS + k // TILE_CELLS] = record
+    return found
+
+
+def expected(oracle: GroundOracle) -> Found:
+    """Return all that the oracle holds."""
+    return {place: tuple(part.tobytes() for part in parts) for place, parts in oracle.records().items()}
+
+
+def told(found: Found, place: tuple[int, int]) -> str:
+    """Return a cell in words, for a failure."""
+    if place not in found:
+        return "nothing"
+    parts = zip(found[place], (CELL_DTYPE, TRUST_DTYPE, COLUMN_DTYPE), strict=True)
+    return "\n".join(str(np.frombuffer(part, kind)[0]) for part, kind in parts)
+
+
+def check(m: RoughMap, oracle: GroundOracle) -> None:
+    """Compare the bytes of all cells."""
+    got, wanted = written(m), expected(oracle)
+    for place in sorted(got.keys() | wanted.keys()):
+        assert got.get(place) == wanted.get(place), (
+            f"cell {place}: got\n{told(got, place)}\nexpected\n{told(wanted, place)}"
+        )
 
 
 @pytest.mark.parametrize("model", ERROR_MODELS)
@@ -107,8 +138,32 @@ def records(m: RoughMap) -> dict[tuple[int, int], bytes]:
 def test_level_ground_is_the_same_on_all_surfaces(model: str, recipe: Recipe, chosen: dict[str, Any]) -> None:
     """Where all heights are within the band, the ground is the paper's record of every point."""
     cloud = recipe.cloud(LEVEL)
-    m = RoughMap(threads=1, error_model=model, **chosen)
-    report = m.add(cloud.points, cloud.covariance, cloud.stamp_ns)
+    m = RoughMap(threads=1, surface="all", error_model=model, **chosen)
+    report = m.add(cloud.points, cloud.covariance, cloud.stamp_ns, common=cloud.common, mount=cloud.mount)
     oracle = GroundOracle(m.settings)
-    assert oracle.add(cloud.points, cloud.covariance, cloud.stamp_ns) == report.accepted
-    assert {place: cell.tobytes() for place, (cell, _, _) in oracle.records().items()} == records(m)
+    used = oracle.add(cloud.points, cloud.covariance, cloud.stamp_ns, common=cloud.common, mount=cloud.mount)
+    assert used == report.accepted
+    check(m, oracle)
+
+
+@pytest.mark.parametrize("model", ERROR_MODELS)
+@examples(150)
+@given(
+    recipe=RECIPES,
+    chosen=CHOICES,
+    times=st.sampled_from([5.0, 0.5, 30.0, 1e4]),
+    cuts=st.lists(st.integers(0, 400), max_size=3),
+    threads=st.sampled_from([1, 2]),
+)
+def test_every_byte_is_as_the_oracle_says(
+    model: str, recipe: Recipe, chosen: dict[str, Any], times: float, cuts: list[int], threads: int
+) -> None:
+    cloud = recipe.cloud(ROUGH)
+    with RoughMap(threads=threads, surface="ground", error_model=model, **chosen) as m:
+        oracle = GroundOracle(m.settings)
+        for part in np.split(np.arange(recipe.number), np.clip(sorted(cuts), 0, recipe.number)):
+            points, covariance, stamp_ns, common, mount, up = (values[part] for values in cloud)
+            given_ = {"common": common, "mount": mount, "up": up, "pose_error_time": times}
+            report = m.add(points, covariance, stamp_ns, **given_)
+            assert oracle.add(points, covariance, stamp_ns, **given_) == report.accepted
+        check(m, oracle)
