@@ -50,6 +50,7 @@ class Recipe(NamedTuple):
     widest: float
     pace: int
     up: float
+    sure: float
 
     def cloud(self, heights: list[float]) -> Cloud:
         """Return points on a few cells, nine of ten at the same few heights: the fewer, the more often they win."""
@@ -58,6 +59,7 @@ class Recipe(NamedTuple):
         points = np.empty((number, 3))
         points[:, :2] = np.array(self.place) + rng.normal(0.0, self.spread, (number, 2))
         points[:, 2] = np.where(rng.random(number) < 0.9, rng.choice(usual, number), rng.choice(heights, number))
+        points[rng.random(number) < self.sure, 2] = heights[0]
         points[:, 2] += rng.choice([0.0, 0.01, -0.02], number)
         turn, _ = np.linalg.qr(rng.normal(size=(number, 3, 3)))
         sigma = np.exp(rng.uniform(np.log(3e-4), np.log(self.widest), (number, 3)))
@@ -77,6 +79,7 @@ RECIPES = st.builds(
     widest=st.sampled_from([0.01, 0.05, 0.2]),
     pace=st.sampled_from([0, 1_000_000, SECOND, 20 * SECOND]),
     up=st.sampled_from([0.0, 0.1, 0.5]),
+    sure=st.sampled_from([0.0, 0.7]),
 )
 
 CHOICES = st.fixed_dictionaries(
@@ -151,19 +154,51 @@ def test_level_ground_is_the_same_on_all_surfaces(model: str, recipe: Recipe, ch
 @given(
     recipe=RECIPES,
     chosen=CHOICES,
-    times=st.sampled_from([5.0, 0.5, 30.0, 1e4]),
+    time=st.sampled_from([5.0, 0.5, 30.0, 1e4]),
     cuts=st.lists(st.integers(0, 400), max_size=3),
-    threads=st.sampled_from([1, 2]),
 )
 def test_every_byte_is_as_the_oracle_says(
-    model: str, recipe: Recipe, chosen: dict[str, Any], times: float, cuts: list[int], threads: int
+    model: str, recipe: Recipe, chosen: dict[str, Any], time: float, cuts: list[int]
 ) -> None:
     cloud = recipe.cloud(ROUGH)
-    with RoughMap(threads=threads, surface="ground", error_model=model, **chosen) as m:
+    m = RoughMap(threads=1, surface="ground", error_model=model, **chosen)
+    oracle = GroundOracle(m.settings)
+    for part in np.split(np.arange(recipe.number), np.clip(sorted(cuts), 0, recipe.number)):
+        points, covariance, stamp_ns, *rest = (values[part] for values in cloud)
+        given_ = dict(zip(("common", "mount", "up"), rest, strict=True), pose_error_time=time)
+        report = m.add(points, covariance, stamp_ns, **given_)
+        assert oracle.add(points, covariance, stamp_ns, **given_) == report.accepted
+    check(m, oracle)
+
+
+@pytest.mark.parametrize("model", ERROR_MODELS)
+@examples(40)
+@given(recipe=RECIPES, chosen=CHOICES, common=st.sampled_from([None, 0.0, 1e-4]), mount=st.sampled_from([None, 1e-4]))
+def test_one_value_for_all_points(
+    model: str, recipe: Recipe, chosen: dict[str, Any], common: float | None, mount: float | None
+) -> None:
+    """Scans at rest: one stamp, one covariance, one variance for all points of a call."""
+    cloud = recipe.cloud(ROUGH)
+    m = RoughMap(threads=1, surface="ground", error_model=model, **chosen)
+    oracle = GroundOracle(m.settings)
+    for part in np.array_split(np.arange(recipe.number), 4):
+        if len(part):
+            points, S, stamp_ns = cloud.points[part], cloud.covariance[part[0]], int(cloud.stamp_ns[part[0]])
+            report = m.add(points, S, stamp_ns, common=common, mount=mount)
+            assert oracle.add(points, S, stamp_ns, common=common or 0.0, mount=mount or 0.0) == report.accepted
+    check(m, oracle)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("model", ERROR_MODELS)
+def test_many_points_on_several_threads(model: str, threads: int) -> None:
+    """So many points that each thread has its part, on four tiles and on both sides of their edges."""
+    recipe = Recipe(5, 12_000, 5, (6.4, -6.4), 0.5, 0.05, SECOND, 0.1, 0.3)
+    cloud = recipe.cloud(ROUGH)
+    with RoughMap(threads=threads, surface="ground", error_model=model) as m:
         oracle = GroundOracle(m.settings)
-        for part in np.split(np.arange(recipe.number), np.clip(sorted(cuts), 0, recipe.number)):
-            points, covariance, stamp_ns, common, mount, up = (values[part] for values in cloud)
-            given_ = {"common": common, "mount": mount, "up": up, "pose_error_time": times}
-            report = m.add(points, covariance, stamp_ns, **given_)
-            assert oracle.add(points, covariance, stamp_ns, **given_) == report.accepted
+        given_ = {"common": cloud.common, "mount": cloud.mount, "up": cloud.up}
+        m.add(cloud.points, cloud.covariance, cloud.stamp_ns, **given_)
+        oracle.add(cloud.points, cloud.covariance, cloud.stamp_ns, **given_)
+        assert m._space.parts(recipe.number) == threads
         check(m, oracle)
