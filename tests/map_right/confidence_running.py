@@ -1,9 +1,10 @@
 """Records and trust of many cells at once, and what they say of the mean's error: numpy formulas of their own."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from confidence_scene import A, FIRST, SIDE, Scene
+from confidence_scene import FIRST, SIDE, A, Scene
 from scipy.special import stdtr
 
 from roughmap.reference.batch_shares import cells_of_bodies, cells_of_points
@@ -12,13 +13,12 @@ COVERAGE, MIN_RADIUS, MIN_SHARE = 2.0, 1e-3, 0.05
 
 
 class State(NamedTuple):
-    """What is kept of each cell (M,): tile, i, j; points and scans that met it; W, W2, mean, m2; V, C, M of the trust."""
+    """What is kept of each cell (M,), by tiles: tile, i along all tiles, j; count; W, W2, mean, m2; V, C, M."""
 
     tile: np.ndarray
     i: np.ndarray
     j: np.ndarray
     count: np.ndarray
-    scans: np.ndarray
     W: np.ndarray
     W2: np.ndarray
     mean: np.ndarray
@@ -44,7 +44,6 @@ def run(scene: Scene, model: str) -> State:
     busiest = np.argsort(-count, kind="stable")
     known, first, count = known[busiest], first[busiest], count[busiest]
     W, W2, mean, m2, V, L, C, M, last = np.zeros((9, len(known)))
-    scans, latest = np.zeros(len(known), int), np.full(len(known), -1)
     for n in range(count[0]):
         live = np.s_[: np.searchsorted(-count, -n)]  # cells with more than n points
         pair = order[first[live] + n]
@@ -64,10 +63,9 @@ def run(scene: Scene, model: str) -> State:
         C[live] += g * (c - C[live])
         M[live] += g * (np.sqrt(poses.mount) - M[live])
         last[live] = now
-        scans[live] += k != latest[live]
-        latest[live] = k
     i, j = known // 4096, known % 4096
-    return State(i // 64, i % 64, j, count, scans, W, W2, mean, m2, V, C, M)
+    by_tile = np.lexsort((i, j, i // 64))
+    return State(*(values[by_tile] for values in (i // 64, i, j, count, W, W2, mean, m2, V, C, M)))
 
 
 def stated(cells: State, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -75,34 +73,45 @@ def stated(cells: State, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     The paper's is NaN where it is not known.
     """
+    own, freedom = own_variance(cells)
+    var = own + cells.V + cells.M**2
+    ours = _within(error / np.sqrt(var), var**2 / (own**2 / freedom))
     n = cells.W**2 / cells.W2
-    common = cells.V + cells.M**2
-    s0, f0 = np.full(len(n), 0.03**2), np.full(len(n), 2.0)
-    ne = (n + cells.count) / 2.0
-    f = np.maximum(ne - 1.0, 0.0)
-    D = ne * np.maximum(cells.C - cells.V, 0.0)
-    T = ne * cells.m2 / cells.W
-    several = f > 1e-9
-    each = np.where(several, (T - D) / np.where(several, f, 1.0), 0.0)
-
-    def trusted(s0: np.ndarray) -> np.ndarray:
-        return np.where(several, (s0 / (s0 + D / np.where(several, f, 1.0))) ** 2, 0.0)
-
-    strong = trusted(s0) * f >= 4.0
-    for tile in np.unique(cells.tile[strong]):
-        values = np.sort(each[strong & (cells.tile == tile)])
-        if len(values) >= 20:
-            s0[cells.tile == tile], f0[cells.tile == tile] = max(values[(len(values) - 1) // 2], 0.005**2), 4.0
-    b = trusted(s0)
-    s2 = np.maximum((f0 * s0 + b * (T - D)) / (f0 + b * f), s0 / 10.0)
-    own = s2 * (1.0 / ne + 0.05 * (1.0 - np.minimum(n / cells.count, 1.0)))
-    var = own + common
-    ours = _within(error / np.sqrt(var), var**2 / (own**2 / (f0 + b * f)))
     with np.errstate(divide="ignore", invalid="ignore"):
         std_dev = np.sqrt(cells.m2 / (cells.W - cells.W2 / cells.W))
         paper = _within(error * np.sqrt(n) / std_dev, np.full(len(n), 1e9))
     paper[(cells.count < 2) | (n <= 1.0 + 1e-6)] = np.nan
     return ours, paper
+
+
+def own_variance(cells: State) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean's variance from the points' own heights, and its degrees of freedom."""
+    n = cells.W**2 / cells.W2
+    ne = (n + cells.count) / 2.0
+    f = np.maximum(ne - 1.0, 0.0)
+    safe = np.where(f > 0.0, f, 1.0)
+    D = ne * np.maximum(cells.C - cells.V, 0.0)
+    T = ne * cells.m2 / cells.W
+
+    def part(s0: np.ndarray) -> np.ndarray:
+        return np.where(f > 0.0, (s0 / (s0 + D / safe)) ** 2, 0.0)
+
+    s0, f0 = np.full(len(n), 0.03**2), np.full(len(n), 2.0)
+    strong = part(s0) * f >= 4.0
+    for tile in _runs(cells.tile):
+        values = np.sort(((T - D) / safe)[tile][strong[tile]])
+        if len(values) >= 20:
+            s0[tile], f0[tile] = max(values[(len(values) - 1) // 2], 0.005**2), 4.0
+    b = part(s0)
+    freedom = f0 + b * f
+    s2 = np.maximum((f0 * s0 + b * (T - D)) / freedom, s0 / 10.0)
+    return s2 * (1.0 / ne + 0.05 * (1.0 - np.minimum(n / cells.count, 1.0))), freedom
+
+
+def _runs(values: np.ndarray) -> list[slice]:
+    """Return the runs of equal values."""
+    edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
+    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def _within(t: np.ndarray, freedom: np.ndarray) -> np.ndarray:
@@ -112,5 +121,5 @@ def _within(t: np.ndarray, freedom: np.ndarray) -> np.ndarray:
 
 def patch(cells: State) -> np.ndarray:
     """Whether each cell is one of the patch, which the scene knows the truth of."""
-    i, j = cells.i - FIRST, cells.j - FIRST
+    i, j = cells.i % 64 - FIRST, cells.j - FIRST
     return (i >= 0) & (j >= 0) & (i < SIDE) & (j < SIDE)

@@ -50,13 +50,15 @@ class Scene(NamedTuple):
     """Points by scan, and the truth.
 
     ``points`` (N, 3), ``scan`` (N,), ascending; ``own``: sigma of a point's own height, metres. ``truth`` (T, SIDE,
-    SIDE): mean height of each cell of the patches, rows along y. Tile t is in column t of a row of tiles.
+    SIDE): mean height of each cell of the patches, rows along y; ``met``: how many scans met it. Tile t is in column t
+    of a row of tiles.
     """
 
     points: np.ndarray
     scan: np.ndarray
     own: float
     truth: np.ndarray
+    met: np.ndarray
     poses: Poses
 
     def scans(self) -> Iterator[tuple[int, slice]]:
@@ -171,4 +173,6 @@ def scene(seed: int, kind: str, poses: str, tiles: int) -> Scene:
     z = spot + rng.normal(0.0, own, len(cell)) + wrong.error[t, scan] + wrong.mount_error[t, scan]
     x = (t * 64 + FIRST + i + u) * A + rng.normal(0.0, ACROSS, len(cell))
     y = (FIRST + j + v) * A + rng.normal(0.0, ACROSS, len(cell))
-    return Scene(np.column_stack([x, y, z]), scan, own, truth, wrong)
+    pairs = np.unique(cell * SCANS + scan)
+    met = np.bincount(pairs // SCANS, minlength=truth.size).reshape(shape)
+    return Scene(np.column_stack([x, y, z]), scan, own, truth, met, wrong)

@@ -1,4 +1,4 @@
-"""The ground map against its oracle, byte by byte: all error models, hostile heights, any cutting, one and two threads."""
+"""The ground map against its oracle, byte by byte: all error models, hostile heights, any cutting, several threads."""
 
 from typing import Any, NamedTuple
 
@@ -102,6 +102,7 @@ def written(m: RoughMap) -> Found:
     found: Found = {}
     base = m._table.levels[0]
     for n in range(base.size):
+        i0, j0 = int(base.tx[n]) * TILE_CELLS, int(base.ty[n]) * TILE_CELLS
         state = m._table.state(int(m._table.slot[n]))
         cells, trust = state.cells, state.trust
         column = np.zeros(len(cells), COLUMN_DTYPE) if state.column is None else state.column
@@ -109,7 +110,9 @@ def written(m: RoughMap) -> Found:
         for k in range(len(cells)):
             record = cells[k].tobytes(), trust[k].tobytes(), column[k].tobytes()
             if any(map(any, record)):
-                found[int(base.tx[n]) * TILE_CELLS + k % TILE_CELLS, int(base.ty[n]) * TILE_CELLS + k // TILE_CELLS] = record
+                found[int(base.tx[n]) * TILE_CELLS + k % TILE_CELLS, int(base.ty[n]) * TILE_CELLS + k // TILE_CELLS] = (
+                    record
+                )
     return found
 
 
