@@ -147,13 +147,13 @@ def _distance(box: Box) -> Floats:
 
 
 def _add_ditch(grid: Floats) -> None:
-    """Add a ditch across the western loop of the path, 2.4 m wide and 0.3 m deep: its banks can be driven."""
+    """Add a ditch across the western loop of the path, 2.6 m wide and 0.25 m deep: its banks can be driven."""
     node = _nodes()
     x, y = node[None, :], node[:, None]
     across = np.abs(x + 7.0 + 0.25 * y)
     along = np.clip((14.0 - np.abs(y)) / 2.0, 0, 1)
-    inside = across < 1.2
-    grid -= np.where(inside, 0.3 * 0.5 * (1 + np.cos(np.pi * across / 1.2)), 0.0) * along
+    inside = across < 1.3
+    grid -= np.where(inside, 0.25 * 0.5 * (1 + np.cos(np.pi * across / 1.3)), 0.0) * along
 
 
 def _add_wall(grid: Floats) -> None:

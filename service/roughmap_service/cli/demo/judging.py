@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from roughmap_service.simulation.truth import Truth
+from roughmap_service.simulation.truth import NEAR, Truth, Why
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -17,6 +17,7 @@ class Judgement:
 
     A map of cells can't say to the centimetre where an obstacle ends. So a blocked cell that the map calls free is only
     wrong if the map blocks none of the 8 around it, and a free cell that the map blocks only if all 8 are truly free.
+    Where a part of the ground within a wheel's reach is unknown, the map need not know of a step: it is not judged.
     """
 
     cells: int
@@ -39,15 +40,21 @@ class Judgement:
 
 
 def judge(
-    truth: Truth, traversability: npt.ArrayLike, height: npt.ArrayLike, interval: npt.ArrayLike | None
+    truth: Truth,
+    cell_size: float,
+    traversability: npt.ArrayLike,
+    height: npt.ArrayLike,
+    interval: npt.ArrayLike | None = None,
 ) -> Judgement:
     """Compare layers, (ny, nx) with NaN where unknown, with the truth of the same cells.
 
     `interval` is the half width of the 95 % interval of the height.
     """
     score = np.asarray(traversability, dtype=np.float64)
-    forbidden, allowed = score == 0, score > 0
-    blocked, free = ~truth.passable & (forbidden | allowed), ~_near(~truth.passable) & (forbidden | allowed)
+    forbidden, judged = score == 0, np.isfinite(score)
+    seen = ~_near(~judged, round(NEAR / cell_size))
+    blocked = judged & ~truth.passable & (seen | (truth.why == Why.OBJECT))
+    free = judged & ~_near(~truth.passable)
     hard = free & ~_near(truth.soft)
     error = np.abs(np.asarray(height, dtype=np.float64) - truth.height)
     measured = np.isfinite(error)
@@ -66,13 +73,13 @@ def judge(
     )
 
 
-def _near(flags: Flags) -> Flags:
-    """Return the cells that are flagged or have one of their 8 neighbours flagged."""
+def _near(flags: Flags, cells: int = 1) -> Flags:
+    """Return the cells in whose square, so many cells to each side, one is flagged."""
     rows, columns = flags.shape
-    around = np.pad(flags, 1)
+    around = np.pad(flags, cells)
     near = np.zeros_like(flags)
-    for j in range(3):
-        for i in range(3):
+    for j in range(2 * cells + 1):
+        for i in range(2 * cells + 1):
             near |= around[j : j + rows, i : i + columns]
     return near
 

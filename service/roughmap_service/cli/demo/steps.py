@@ -166,6 +166,7 @@ def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int,
     progress.step("comparing and drawing")
     judged = judge(
         truth(fleet[0].world, seconds, region.origin, region.cell_size, region["mean_height"].shape),
+        region.cell_size,
         region["traversability"],
         region["mean_height"],
         region[INTERVAL] if INTERVAL in layers else None,
