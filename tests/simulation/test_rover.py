@@ -13,18 +13,24 @@ from roughmap_service.simulation.ground import PERIOD, SPACING, Ground
 from roughmap_service.simulation.publishing import merged
 from roughmap_service.simulation.rover import MOUNT, POSE_SIGMA, Message, Rover, rovers
 from roughmap_service.simulation.scanner import Scanner
+from roughmap_service.simulation.world import World, bare, inhabited
 
 START_NS = 1_700_000_000_000_000_000
 SMALL = Scanner(rings=16, columns=64)
 
 
 @pytest.fixture(scope="module")
-def ground() -> Ground:
-    return Ground(3)
+def world() -> World:
+    return inhabited(3)
 
 
-def rover(ground: Ground, **settings: object) -> Rover:
-    return Rover(ground, scanner=SMALL, start_ns=START_NS, **settings)  # type: ignore[arg-type]
+@pytest.fixture(scope="module")
+def ground(world: World) -> Ground:
+    return world.ground
+
+
+def rover(world: World, **settings: object) -> Rover:
+    return Rover(world, scanner=SMALL, start_ns=START_NS, **settings)  # type: ignore[arg-type]
 
 
 def cloud(message: Message) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -54,20 +60,20 @@ def test_the_ground_has_a_wall_and_a_ditch(ground: Ground) -> None:
     assert wall > 1.0
     y = np.linspace(-10, 10, 41)
     middle = -7.0 - 0.25 * y
-    banks = (ground.height(middle - 1.0, y) + ground.height(middle + 1.0, y)) / 2
-    # 0.35 m deep everywhere; a rock here or there may lie in it or on its bank: the median doesn't see those.
-    assert np.median(banks - ground.height(middle, y)) == pytest.approx(0.35, abs=0.1)
+    banks = (ground.height(middle - 1.4, y) + ground.height(middle + 1.4, y)) / 2
+    # 0.25 m deep everywhere; a rock here or there may lie in it or on its bank: the median doesn't see those.
+    assert np.median(banks - ground.height(middle, y)) == pytest.approx(0.25, abs=0.1)
 
 
 def test_points_lie_on_the_ground_seen_from_the_moving_sensor() -> None:
     # No noise: each point, placed by the pose of its own column, must lie on the ground.
     exact = Scanner(rings=16, columns=64, range_sigma=0.0, beam_sigma=0.0)
-    driver = Rover(Ground(3), scanner=exact, start_ns=START_NS, speed=3.0)
+    driver = Rover(bare(3), scanner=exact, start_ns=START_NS, speed=3.0)
     message = next(m for m in driver.messages(1.0) if m.kind == "points")
     points, stamps, back = cloud(message)
     pose = driver.pose(stamps[back])
     placed = pose.position + np.einsum("nij,nj->ni", pose.rotation, points[back] + np.asarray(MOUNT))
-    error = placed[:, 2] - driver.ground.height(placed[:, 0], placed[:, 1])
+    error = placed[:, 2] - driver.world.ground.height(placed[:, 0], placed[:, 1])
     assert back.mean() > 0.5
     # Points are float32 (1 micrometre at 25 m); a beam that grazes a flank turns that, and the caster's last
     # half step of 6 micrometres over ground, into up to 30 times as much height.
@@ -75,14 +81,14 @@ def test_points_lie_on_the_ground_seen_from_the_moving_sensor() -> None:
     assert np.median(np.abs(error)) < 1e-5
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_does_not(ground: Ground) -> None:
-    first = list(rover(ground, seed=5).messages(0.3))
-    assert list(rover(ground, seed=5).messages(0.3)) == first
-    assert [m.payload for m in rover(ground, seed=6).messages(0.3)] != [m.payload for m in first]
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not(world: World) -> None:
+    first = list(rover(world, seed=5).messages(0.3))
+    assert list(rover(world, seed=5).messages(0.3)) == first
+    assert [m.payload for m in rover(world, seed=6).messages(0.3)] != [m.payload for m in first]
 
 
-def test_poses_enclose_every_sweep(ground: Ground) -> None:
-    messages = list(rover(ground).messages(1.0))
+def test_poses_enclose_every_sweep(world: World) -> None:
+    messages = list(rover(world).messages(1.0))
     poses = [m.stamp_ns for m in messages if m.kind == "odometry"]
     clouds = [cloud(m) for m in messages if m.kind == "points"]
     assert len(clouds) == 10
@@ -92,10 +98,10 @@ def test_poses_enclose_every_sweep(ground: Ground) -> None:
     assert [m.due_ns for m in messages] == sorted(m.due_ns for m in messages)
 
 
-def test_localisation_errs_as_it_says(ground: Ground) -> None:
+def test_localisation_errs_as_it_says(world: World) -> None:
     errors = []
     for seed in range(60):
-        driver = rover(ground, seed=seed)
+        driver = rover(world, seed=seed)
         for message in driver._odometry(0.0):
             said = decode_odometry(message.payload, max_message=1 << 16)
             true = driver.pose(np.array([message.stamp_ns]))
@@ -109,9 +115,9 @@ def test_localisation_errs_as_it_says(ground: Ground) -> None:
     assert np.all(np.abs(spread - 1) < 0.46), spread
 
 
-def test_robots_share_the_ground_and_are_merged_by_time() -> None:
+def test_robots_share_the_world_and_are_merged_by_time() -> None:
     two = rovers(2, seed=1, start_ns=START_NS, scanner=SMALL)
-    assert two[0].ground is two[1].ground
+    assert two[0].world is two[1].world
     apart = two[0].pose(np.array([START_NS])).position - two[1].pose(np.array([START_NS])).position
     assert two[0].name != two[1].name
     messages = list(merged([each.messages(0.4) for each in two]))

@@ -1,4 +1,4 @@
-"""Synthetic ground of known height: slopes, waves, rocks, a ditch and a wall.
+"""Synthetic ground of known height: slopes, waves, rocks, ditches, a wall, and a yard with a kerb.
 
 The ground is the bilinear interpolation of a seeded grid, repeated without a seam every `PERIOD` metres. The scanner's
 rays and checks of a map use this same function, at any extent.
@@ -25,6 +25,28 @@ BLOCK = 16
 PATH_HALF_LENGTH, PATH_HALF_WIDTH = 11.0, 6.0
 """The figure of eight that rovers drive, in metres from its centre. Tall rocks and the wall are beside it."""
 
+Box = tuple[float, float, float, float]
+"""Metres: least x, least y, greatest x, greatest y."""
+
+YARD: Box = (2.0, -10.0, 19.0, 8.0)
+"""The eastern loop lies in a yard: almost level, so that what is built there stands upright. The west is wild."""
+
+YARD_BORDER = 9.0
+"""Metres over which wild ground becomes the yard's."""
+
+BUILT: tuple[Box, ...] = (
+    (4.0, 3.0, 10.0, 8.2),
+    (4.0, -7.8, 10.5, -3.2),
+    (7.0, -2.0, 15.0, 2.0),
+    (-0.5, 5.5, 3.5, 8.2),
+    (-4.5, -9.0, 2.5, -8.0),
+    (-14.0, -9.8, -8.2, -7.4),
+)
+"""No rocks here: roof, tunnel, bridge, puddle, glass and trench."""
+
+PUDDLE = (1.5, 7.0, 1.1, 0.7)
+"""Centre and half axes of a puddle before the wall, metres."""
+
 Floats = npt.NDArray[np.float64]
 
 
@@ -43,6 +65,9 @@ class Ground:
         _add_ditch(self.grid)
         _add_rocks(self.grid, rng)
         _add_wall(self.grid)
+        _add_kerb(self.grid)
+        _add_trench(self.grid)
+        _level_puddle(self.grid)
         self.block_top = _block_top(self.grid)
         self.top = float(self.grid.max())
 
@@ -86,8 +111,11 @@ def _nodes() -> Floats:
 
 
 def _waves(rng: np.random.Generator) -> Floats:
-    """Return slopes and undulation: waves whose lengths divide the period; longer ones are higher."""
-    grid = np.zeros((NODES, NODES))
+    """Return slopes and undulation: waves whose lengths divide the period; longer ones are higher.
+
+    In the yard the long waves give way to a plane through them, half as steep.
+    """
+    long, short = np.zeros((NODES, NODES)), np.zeros((NODES, NODES))
     node = _nodes()
     for length, amplitude, count in ((51.2, 0.9, 3), (17.0, 0.25, 4), (5.1, 0.05, 6), (1.3, 0.012, 8)):
         for _ in range(count):
@@ -97,26 +125,67 @@ def _waves(rng: np.random.Generator) -> Floats:
             size = amplitude * rng.uniform(0.4, 1.0)
             # exp(i(kx x + ky y)) is an outer product, so no (NODES, NODES) array of angles is needed.
             wave = np.outer(np.exp(1j * ky * node), size * np.exp(1j * (kx * node + rng.uniform(0, 2 * np.pi))))
-            grid += wave.real
-    return grid
+            into = long if length > 10 else short
+            into += wave.real
+    inside = (_distance(YARD) == 0).nonzero()
+    x, y = node[inside[1]], node[inside[0]]
+    (along_x, along_y, height), *_ = np.linalg.lstsq(np.stack([x, y, np.ones(x.size)], -1), long[inside], rcond=None)
+    middle = x.mean(), y.mean()
+    plane = height + along_x * (node[None, :] + middle[0]) / 2 + along_y * (node[:, None] + middle[1]) / 2
+    wild = np.clip(_distance(YARD) / YARD_BORDER, 0, 1)
+    wild *= wild * (3 - 2 * wild)
+    return np.asarray(plane + wild * (long - plane) + (0.4 + 0.6 * wild) * short, dtype=np.float64)
+
+
+def _distance(box: Box) -> Floats:
+    """Return each node's distance from a box in metres, 0 inside."""
+    node = _nodes()
+    aside_x = np.maximum(np.maximum(box[0] - node, node - box[2]), 0)
+    aside_y = np.maximum(np.maximum(box[1] - node, node - box[3]), 0)
+    distance: Floats = np.hypot(aside_x[None, :], aside_y[:, None])
+    return distance
 
 
 def _add_ditch(grid: Floats) -> None:
-    """Add a ditch across the western loop of the path, 1.6 m wide and 0.35 m deep, with smooth banks."""
+    """Add a ditch across the western loop of the path, 2.6 m wide and 0.25 m deep: its banks can be driven."""
     node = _nodes()
     x, y = node[None, :], node[:, None]
     across = np.abs(x + 7.0 + 0.25 * y)
     along = np.clip((14.0 - np.abs(y)) / 2.0, 0, 1)
-    inside = across < 0.8
-    grid -= np.where(inside, 0.35 * 0.5 * (1 + np.cos(np.pi * across / 0.8)), 0.0) * along
+    inside = across < 1.3
+    grid -= np.where(inside, 0.25 * 0.5 * (1 + np.cos(np.pi * across / 1.3)), 0.0) * along
 
 
 def _add_wall(grid: Floats) -> None:
     """Add a wall north of the path, 0.4 m thick and 1.5 m above the ground; its sides are one node wide."""
+    _raise(grid, (-6.0, 8.6, 7.0, 9.0), 1.5)
+
+
+def _add_kerb(grid: Floats) -> None:
+    """Add a pavement in the east of the yard: its kerb is 12 cm high in the south, 25 cm in the north."""
+    _raise(grid, (15.0, -9.0, 18.5, 0.0), 0.12)
+    _raise(grid, (15.0, 0.05, 18.5, 9.0), 0.25)
+
+
+def _add_trench(grid: Floats) -> None:
+    """Add a trench beside the south-western bend, 0.8 m wide and 0.6 m deep, with upright sides."""
+    _raise(grid, (-13.0, -9.0, -9.0, -8.2), -0.6)
+
+
+def _level_puddle(grid: Floats) -> None:
+    """Make the ground flat where the puddle is: a mirror of uneven water would be none."""
     node = _nodes()
-    rows = np.nonzero((node >= 8.6) & (node <= 9.0))[0]
-    columns = np.nonzero((node >= -6.0) & (node <= 7.0))[0]
-    grid[np.ix_(rows, columns)] += 1.5
+    x, y, half_x, half_y = PUDDLE
+    out = np.hypot((node[None, :] - x) / half_x, (node[:, None] - y) / half_y)
+    flat = np.clip((1.5 - out) / 0.4, 0, 1)  # up to a tenth beyond the water
+    grid += flat * (grid[out <= 1].mean() - grid)
+
+
+def _raise(grid: Floats, box: Box, height: float) -> None:
+    node = _nodes()
+    rows = np.nonzero((node >= box[1]) & (node <= box[3]))[0]
+    columns = np.nonzero((node >= box[0]) & (node <= box[2]))[0]
+    grid[np.ix_(rows, columns)] += height
 
 
 def _add_rocks(grid: Floats, rng: np.random.Generator) -> None:
@@ -130,6 +199,8 @@ def _add_rocks(grid: Floats, rng: np.random.Generator) -> None:
         squash, turn = rng.uniform(0.6, 1.0), rng.uniform(0, np.pi)
         if np.min(np.hypot(px - x, py - y)) < 1.0 + radius:
             height = min(height, 0.08)
+        if any(box[0] < x < box[2] and box[1] < y < box[3] for box in BUILT):
+            continue
         reach = int(radius / SPACING) + 2
         i, j = int(np.floor(x / SPACING)), int(np.floor(y / SPACING))
         columns, rows = np.arange(i - reach, i + reach + 1), np.arange(j - reach, j + reach + 1)

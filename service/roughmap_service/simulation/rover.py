@@ -1,4 +1,4 @@
-"""A rover on synthetic ground: the messages of its scanner and its localisation, with the true poses known.
+"""A rover in the simulated world: the messages of its scanner and its localisation, with the true poses known.
 
 The same seed, start and settings give the same messages. The rover drives a figure of eight, in 36 seconds at its
 default speed. Roll, pitch and height follow the ground under its wheels. The scanner turns while the rover moves, so
@@ -17,8 +17,9 @@ from roughmap_schemas.cloud import encode_cloud
 from roughmap_schemas.geometry import Quaternion, quaternion_of
 from roughmap_schemas.odometry import encode_odometry
 from roughmap_service.run.pose_algebra import multiply
-from roughmap_service.simulation.ground import PATH_HALF_LENGTH, PATH_HALF_WIDTH, Ground, path
+from roughmap_service.simulation.ground import PATH_HALF_LENGTH, PATH_HALF_WIDTH, path
 from roughmap_service.simulation.scanner import NANOSECONDS, Scanner
+from roughmap_service.simulation.world import World, inhabited
 
 Floats = npt.NDArray[np.float64]
 
@@ -62,9 +63,9 @@ class Pose(NamedTuple):
 
 @dataclass
 class Rover:
-    """One robot. It starts at `phase` (0 to 1) of the figure of eight; robots of one run share the ground."""
+    """One robot. It starts at `phase` (0 to 1) of the figure of eight; robots of one run share the world."""
 
-    ground: Ground
+    world: World
     name: str = "rover1"
     seed: int = 1
     phase: float = 0.0
@@ -80,7 +81,7 @@ class Rover:
         x, y = path(angle)
         heading = np.arctan2(2 * PATH_HALF_WIDTH * np.cos(2 * angle), PATH_HALF_LENGTH * np.cos(angle))
         c, s = np.cos(heading)[:, None, None], np.sin(heading)[:, None, None]
-        height = self.ground.height(
+        height = self.world.ground.height(
             x[:, None, None] + c * FOOTPRINT_X - s * FOOTPRINT_Y, y[:, None, None] + s * FOOTPRINT_X + c * FOOTPRINT_Y
         )
         # Least squares over a symmetric grid: the three unknowns are independent weighted means.
@@ -111,7 +112,8 @@ class Rover:
         base = self.pose(stamp_ns + self.scanner.column_offsets_ns())
         # einsum is allowed here: no promise depends on the bits of a simulation.
         position = base.position + np.einsum("nij,j->ni", base.rotation, np.asarray(MOUNT))
-        points, offsets = self.scanner.sweep(self.ground, position, base.rotation, rng)
+        middle = (stamp_ns + self.scanner.sweep_ns // 2 - self.start_ns) / NANOSECONDS
+        points, offsets = self.scanner.sweep(self.world, middle, position, base.rotation, rng)
         payload = encode_cloud(points, stamp_ns, SENSOR_FRAME, offsets_ns=offsets)
         return Message(stamp_ns, "points", payload, self.name, stamp_ns + self.scanner.sweep_ns)
 
@@ -134,11 +136,11 @@ class Rover:
 
 
 def rovers(count: int, seed: int, start_ns: int, scanner: Scanner | None = None) -> list[Rover]:
-    """Return `count` robots (rover1, rover2, ...), spread over the same path on the ground of `seed`."""
-    ground = Ground(seed)
+    """Return `count` robots (rover1, rover2, ...), spread over the same path in the world of `seed`."""
+    world = inhabited(seed)
     return [
         Rover(
-            ground,
+            world,
             name=f"rover{k + 1}",
             seed=seed * 1000 + k,
             phase=k / count,

@@ -1,4 +1,4 @@
-"""`roughmap demo`: service, rover, planner and replay on this machine, compared with the known ground."""
+"""`roughmap demo`: service, rover, planner and replay on this machine, compared with the true world."""
 
 import json
 import shutil
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 CONFIG_NAME = "demo.toml"
 """A folder with this file was made by an earlier demo and may be cleared."""
 
-MADE = (CONFIG_NAME, "height.png", "confidence.png", "traversability.png", "serve.txt", "simulate.txt", "replay.txt")
+MADE = (CONFIG_NAME, "height.png", "traversability.png", "confidence.png", "serve.txt", "simulate.txt", "replay.txt")
 """The files that a demo writes, beside its log."""
 
 
@@ -42,7 +42,7 @@ def demo(seconds: float, out: Path, robots: int, seed: int, as_json: bool) -> in
 
     Start a service on a free port of this machine, drive a simulated rover that sends it scans and poses, and query
     20 x 20 m of its map five times a second. Then stop the service, replay its log, and compare the replayed map
-    with the served one, and the heights with the simulated ground.
+    with the served one, and the served one with the simulated world.
 
     The demo prints a table and a line that begins with `equal`, and draws the map. Exit code 1 if anything differs.
     """

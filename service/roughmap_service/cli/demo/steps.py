@@ -14,12 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap_client import Region, RoughMapClient
+from roughmap_schemas.layers import LAYERS
 from roughmap_schemas.messages import MapStatus
 from roughmap_schemas.reasons import PointReason
+from roughmap_service.cli.demo.judging import Judgement, judge
 from roughmap_service.cli.demo.planner import QUERY_SIDE_M, Planner
 from roughmap_service.cli.demo.processes import RoverProcess, ServiceProcess, replay
 from roughmap_service.formats.pictures import draw
 from roughmap_service.simulation.rover import POSE_SIGMA, Rover, rovers, sensor_settings
+from roughmap_service.simulation.truth import truth
 
 MAP = "demo"
 
@@ -28,6 +31,9 @@ SETTLE_S = 20.0
 
 PICTURE_REACH_M = 26.0
 """Half the side of the square that is drawn and compared, around the middle of the rover's path; it sees 25 m."""
+
+CONFIDENCE, INTERVAL = "confidence", "interval_95"
+"""Layers that not every service has."""
 
 REPLAY_LINE = re.compile(r"equal: (\d+) checkpoints, sequence (\d+), digest ([0-9a-f]{32})")
 
@@ -62,11 +68,9 @@ class Outcome:
     queries: int
     query_p50_s: float | None
     query_p99_s: float | None
-    known_cells: int
+    map: Judgement
     tiles: int
     memory_bytes: int
-    height_error_median_m: float | None
-    height_error_p95_m: float | None
     log_bytes: int
     replay_s: float
     wall_s: float
@@ -100,18 +104,34 @@ class Outcome:
                 f"query of {QUERY_SIDE_M:g} x {QUERY_SIDE_M:g} m",
                 f"{_figures(('p50', self.query_p50_s), ('p99', self.query_p99_s), 1e3, 'ms')}; {self.queries} queries",
             ),
-            ("map", f"{self.known_cells:,} known cells in {side:g} x {side:g} m; {self.tiles} tiles"),
             (
-                "height error",
-                _figures(("median", self.height_error_median_m), ("p95", self.height_error_p95_m), 100, "cm")
-                + ", from the simulated ground",
+                "map",
+                f"{self.map.known:,} of {self.map.cells:,} cells known in {side:g} x {side:g} m; {self.tiles} tiles",
             ),
+            *judgement_rows(self.map),
             ("memory of the service", f"{self.memory_bytes / 2**20:.0f} MiB (RSS)"),
             ("log", f"{self.log_bytes / 1e6:.0f} MB"),
             ("replay", f"{self.replay_s:.1f} s"),
             ("total time", f"{self.wall_s:.0f} s"),
             *(("health", text) for text in slow),
         ]
+
+
+def judgement_rows(found: Judgement) -> list[tuple[str, str]]:
+    """Return how the map compares with the true world; what is unknown has no row."""
+    rows = []
+    if found.wrongly_free is not None:
+        rows.append(("wrongly free", f"{found.wrongly_free:.2%} of {found.blocked:,} blocked cells"))
+    if found.wrongly_forbidden is not None:
+        grass = found.wrongly_forbidden_hard
+        aside = "" if grass is None else f"; {grass:.2%} without tall grass"
+        rows.append(("wrongly forbidden", f"{found.wrongly_forbidden:.2%} of {found.free:,} free cells{aside}"))
+    if found.height_error_median_m is not None:
+        errors = ("median", found.height_error_median_m), ("p95", found.height_error_p95_m)
+        rows.append(("height error", f"{_figures(*errors, 100, 'cm')}, from the true ground"))
+    if found.covered is not None:
+        rows.append(("95 % interval", f"holds the true height in {found.covered:.1%} of the cells"))
+    return rows
 
 
 def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int, progress: Progress) -> Outcome:
@@ -134,7 +154,9 @@ def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int,
             published = driver.wait(seconds + 60, progress.driven)
         progress.step("stopping the service after the last scans")
         status = settled(client, published["clouds"])
-        region = client.region(picture_box(), ["mean_height", "confidence_level", "traversability"])
+        confidence = CONFIDENCE if CONFIDENCE in LAYERS else "confidence_level"
+        layers = ["mean_height", "traversability", confidence, *({INTERVAL} & set(LAYERS))]
+        region = client.region(picture_box(), layers)
         client.close()
         exit_code = service.stop()
     progress.step("replaying the log")
@@ -142,14 +164,20 @@ def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int,
     replay_code, replay_line = replay(log_directory, out / "replay.txt")
     replay_s = time.monotonic() - replay_begun
     progress.step("comparing and drawing")
-    error = height_error(fleet[0], region["mean_height"].astype(np.float64), region.origin, region.cell_size)
+    judged = judge(
+        truth(fleet[0].world, seconds, region.origin, region.cell_size, region["mean_height"].shape),
+        region.cell_size,
+        region["traversability"],
+        region["mean_height"],
+        region[INTERVAL] if INTERVAL in layers else None,
+    )
     lag = planner.worst_lag or (status.lag_s.p50, status.lag_s.p99)
     pictures = tuple(
         _draw(out / file, region, layer, fleet, seconds)
         for file, layer in (
             ("height.png", "mean_height"),
-            ("confidence.png", "confidence_level"),
             ("traversability.png", "traversability"),
+            ("confidence.png", confidence),
         )
     )
     return Outcome(
@@ -169,16 +197,14 @@ def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int,
         queries=len(planner.latencies),
         query_p50_s=_percentile(planner.latencies, 50),
         query_p99_s=_percentile(planner.latencies, 99),
-        known_cells=error.size,
+        map=judged,
         tiles=status.tiles.resident + status.tiles.spilled,
         memory_bytes=status.memory_bytes,
-        height_error_median_m=_percentile(error, 50),
-        height_error_p95_m=_percentile(error, 95),
         log_bytes=sum(file.stat().st_size for file in log_directory.glob("*.mcap")),
         replay_s=replay_s,
         wall_s=time.monotonic() - begun,
         replay_line=replay_line,
-        differences=tuple(differences(status, planner, exit_code, replay_code, replay_line, error.size)),
+        differences=tuple(differences(status, planner, exit_code, replay_code, replay_line, judged.known)),
         pictures=pictures,
         log_directory=log_directory,
     )
@@ -224,16 +250,6 @@ def settled(client: RoughMapClient, published: int) -> MapStatus:
             since = time.monotonic()
         status = newer
     return status
-
-
-def height_error(
-    rover: Rover, height: npt.NDArray[np.float64], origin: tuple[float, float], cell_size: float
-) -> npt.NDArray[np.float64]:
-    """Return |mean height - true height at the cell's centre| of all known cells, in metres."""
-    rows, columns = np.nonzero(np.isfinite(height))
-    x, y = origin[0] + (columns + 0.5) * cell_size, origin[1] + (rows + 0.5) * cell_size
-    error: npt.NDArray[np.float64] = np.abs(height[rows, columns] - rover.ground.height(x, y))
-    return error
 
 
 def differences(
