@@ -8,10 +8,9 @@ and the floor's waves about that plane, as means over a square of ``WAVE``. A ce
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from right_maps import Box, Seen, Sweep, built, hits, seen
+from right_maps import Box, Grid, Seen, Sweep, built, grid, seen
 from right_recordings import Hall
 from right_row import Row, percent
 from scipy.ndimage import binary_dilation, uniform_filter
@@ -41,16 +40,14 @@ AT_FLOOR = 0.15
 
 @dataclass(frozen=True)
 class Truth:
-    """Of each cell of ``BOX``. ``floor``: height, metres, where ``open``."""
+    """Of each cell of ``BOX``. ``floor``: height, metres, the plane's far from any floor point."""
 
+    grid: Grid
+    bare: np.ndarray
+    """Nothing stands here, whether or not a floor point was seen."""
     open: np.ndarray
     obstacle: np.ndarray
     floor: np.ndarray
-
-    @cached_property
-    def places(self) -> np.ndarray:
-        """Rows and columns of the open cells, (N, 2)."""
-        return np.argwhere(self.open)
 
 
 def plane(points: np.ndarray) -> np.ndarray:
@@ -66,8 +63,9 @@ def plane(points: np.ndarray) -> np.ndarray:
     return c
 
 
-def truth(hall: Hall, cells: Seen) -> Truth:
+def truth(hall: Hall) -> Truth:
     """Where the floor is open, where obstacles stand, and how high the floor is, from all recorded points."""
+    cells = grid(BOX)
     scans = [hall.placed(k) for k in range(len(hall.points))]
     points = np.concatenate(scans)
     c = plane(points)
@@ -77,29 +75,20 @@ def truth(hall: Hall, cells: Seen) -> Truth:
 
     def number(own: np.ndarray, low: float, high: float) -> np.ndarray:
         up = above(own)
-        return hits(own[(up > low) & (up < high)], cells)
+        return cells.hits(own[(up > low) & (up < high)])
 
     floor = np.abs(above(points)) < NEAR_PLANE
     many = number(points, -NEAR_PLANE, NEAR_PLANE)
-    off = _sums(points[floor], above(points)[floor], cells)
-    size = round(WAVE / (cells.x[0, 1] - cells.x[0, 0]))
+    off = cells.sums(points[floor], above(points)[floor])
+    size = round(WAVE / cells.cell)
     weight = uniform_filter(many.astype(float), size)
     wave = np.divide(uniform_filter(off, size), weight, out=np.zeros_like(off), where=weight > 1e-9)
     in_reach = np.hypot(cells.x, cells.y) < REACH
     occupied = binary_dilation(number(points, *BODY) > 0, np.ones((3, 3)))
     in_scans = sum((number(own, *MET) > 0).astype(int) for own in scans)
     obstacle = (number(points, *MET) >= 3) & (in_scans >= 2) & in_reach
-    return Truth((many > 0) & ~occupied & in_reach, obstacle, c[0] * cells.x + c[1] * cells.y + c[2] + wave)
-
-
-def _sums(points: np.ndarray, values: np.ndarray, cells: Seen) -> np.ndarray:
-    """Sum of the values of the points in each cell."""
-    ny, nx = cells.x.shape
-    cell = cells.x[0, 1] - cells.x[0, 0]
-    i = np.floor((points[:, 0] - cells.x[0, 0]) / cell + 0.5).astype(int)
-    j = np.floor((points[:, 1] - cells.y[0, 0]) / cell + 0.5).astype(int)
-    inside = (i >= 0) & (j >= 0) & (i < nx) & (j < ny)
-    return np.bincount(j[inside] * nx + i[inside], values[inside], nx * ny).reshape(ny, nx)
+    bare = ~occupied & in_reach
+    return Truth(cells, bare, (many > 0) & bare, obstacle, c[0] * cells.x + c[1] * cells.y + c[2] + wave)
 
 
 def forbidden(of: Seen, true: Truth) -> float:

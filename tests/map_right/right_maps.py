@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import roughmap
 from roughmap import Limits, Noise, RoughMap, Scan, Trajectory
@@ -32,11 +33,43 @@ class Sweep:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """Layers over a box, each (ny, nx); x, y: the cells' centres, metres."""
+class Grid:
+    """The cells of a box: x, y of their centres, each (ny, nx), and their side, metres."""
 
     x: np.ndarray
     y: np.ndarray
+    cell: float
+
+    def where(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of the cells of the points (N, 2 or 3); they may lie outside."""
+        i = np.floor((points[:, 0] - self.x[0, 0]) / self.cell + 0.5).astype(int)
+        j = np.floor((points[:, 1] - self.y[0, 0]) / self.cell + 0.5).astype(int)
+        return j, i
+
+    def sums(self, points: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Sum of the values (N,) of the points in each cell."""
+        ny, nx = self.x.shape
+        j, i = self.where(points)
+        inside = (i >= 0) & (j >= 0) & (i < nx) & (j < ny)
+        return np.bincount(j[inside] * nx + i[inside], values[inside], nx * ny).reshape(ny, nx)
+
+    def hits(self, points: np.ndarray) -> np.ndarray:
+        """How many of the points lie in each cell."""
+        return self.sums(points, np.ones(len(points))).astype(int)
+
+
+def grid(box: Box, cell: float = 0.1) -> Grid:
+    """The cells of a box whose borders are cells' borders."""
+    nx, ny = round((box[2] - box[0]) / cell), round((box[3] - box[1]) / cell)
+    y, x = (np.mgrid[0:ny, 0:nx] + 0.5) * cell
+    return Grid(x + box[0], y + box[1], cell)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Layers over a grid, each (ny, nx)."""
+
+    grid: Grid
     traversability: np.ndarray
     height: np.ndarray
     slope: np.ndarray
@@ -79,23 +112,11 @@ def seen(of: RoughMap, surface: str, box: Box, limits: dict[str, float] | None =
     """What a planner with the usual limits reads over ``box`` (metres)."""
     layers = ["traversability", "mean_height", "slope"]
     region = of.region(box, layers, limits=LIMITS[surface] if limits is None else limits)
-    ny, nx = region["mean_height"].shape
-    y, x = (np.mgrid[0:ny, 0:nx] + 0.5) * of.cell_size
-    return Seen(x + box[0], y + box[1], *(np.asarray(region[layer]) for layer in layers))
-
-
-def hits(points: np.ndarray, of: Seen) -> np.ndarray:
-    """How many of the points (N, 3) lie in each cell."""
-    cell = of.x[0, 1] - of.x[0, 0]
-    edges_x = np.append(of.x[0] - cell / 2, of.x[0, -1] + cell / 2)
-    edges_y = np.append(of.y[:, 0] - cell / 2, of.y[-1, 0] + cell / 2)
-    return np.histogram2d(points[:, 1], points[:, 0], bins=(edges_y, edges_x))[0].astype(int)
+    return Seen(grid(box, of.cell_size), *(np.asarray(region[layer]) for layer in layers))
 
 
 def still(pose: np.ndarray, stamps: Sequence[int], sigma: float, angle_sigma: float) -> Trajectory:
     """A trajectory of poses (M, 4, 4) at these stamps, each with the same standard errors."""
-    from scipy.spatial.transform import Rotation
-
     S = np.diag([sigma**2] * 3 + [angle_sigma**2] * 3)
     rotations = Rotation.from_matrix(pose[:, :3, :3]).as_quat()
     return Trajectory(np.array(stamps), pose[:, :3, 3], rotations, np.broadcast_to(S, (len(pose), 6, 6)))

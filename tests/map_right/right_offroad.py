@@ -1,7 +1,7 @@
 """A tracked robot on a forest path: where it has driven, the map of the sweep that it takes then must let it drive."""
 
 import numpy as np
-from right_maps import Box, Seen, built, seen
+from right_maps import Box, Grid, Seen, built, seen
 from right_recordings import Offroad
 from right_row import Row, percent
 from scipy.spatial import cKDTree
@@ -13,7 +13,7 @@ HALF_WIDTH = 0.3
 """Metres on either side of the base's way: the robot is 0.6 m wide."""
 
 
-def driven(way: np.ndarray, cells: Seen) -> np.ndarray:
+def driven(way: np.ndarray, cells: Grid) -> np.ndarray:
     """The cells whose centres lie within half the robot's width of the straight lines between its poses (M, 2)."""
     steps = [np.linspace(a, b, 50) for a, b in zip(way[:-1], way[1:], strict=True)]
     centres = np.stack([cells.x, cells.y], axis=-1)
@@ -42,7 +42,7 @@ def rows(offroad: Offroad, before: dict[str, Seen], after: dict[str, Seen]) -> l
     for model, ground in after.items():
         every = before[model]
         on = f"off-road, {model}"
-        early, late = driven(offroad.before, ground), driven(offroad.after, ground)
+        early, late = (driven(way, ground.grid) for way in (offroad.before, offroad.after))
         both = early | late
         lost, lost_before = (percent(~(of.free | of.forbidden)[early]) for of in (ground, every))
         made += [
