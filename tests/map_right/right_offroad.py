@@ -1,5 +1,7 @@
 """A tracked robot on a forest path: where it has driven, the map of the sweep that it takes then must let it drive."""
 
+from itertools import pairwise
+
 import numpy as np
 from right_maps import Box, Grid, Seen, built, seen
 from right_recordings import Offroad
@@ -15,7 +17,7 @@ HALF_WIDTH = 0.3
 
 def driven(way: np.ndarray, cells: Grid) -> np.ndarray:
     """The cells whose centres lie within half the robot's width of the straight lines between its poses (M, 2)."""
-    steps = [np.linspace(a, b, 50) for a, b in zip(way[:-1], way[1:], strict=True)]
+    steps = [np.linspace(a, b, 50) for a, b in pairwise(way)]
     centres = np.stack([cells.x, cells.y], axis=-1)
     return cKDTree(np.concatenate(steps)).query(centres)[0] < HALF_WIDTH
 

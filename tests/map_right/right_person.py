@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from right_cast import Post
 from right_hall import BOX, Truth
 from right_maps import add, make_map, seen
 from right_recordings import Hall
@@ -77,31 +78,17 @@ def _floors(way: np.ndarray, true: Truth) -> list[float]:
     return floors
 
 
-def put_in(points: np.ndarray, pose: np.ndarray, centre: np.ndarray, floor: float, rng: np.random.Generator) -> tuple[
-    np.ndarray, np.ndarray
-]:  # fmt: skip
+def put_in(
+    points: np.ndarray, pose: np.ndarray, centre: np.ndarray, floor: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """The scan (sensor's axes) with a person in it, and which returns are the person's."""
     ranges = np.linalg.norm(points, axis=1)
     beams = points / np.maximum(ranges, 1e-9)[:, None] @ pose[:3, :3].T
-    meets = cylinder(pose[:3, 3], beams, centre, RADIUS, floor, floor + TALL)
+    meets = Post(float(centre[0]), float(centre[1]), RADIUS, floor, floor + TALL).meet(pose[:3, 3], beams)
     own = meets < ranges
     changed = points.copy()
     changed[own] *= ((meets[own] + rng.normal(0.0, NOISE, own.sum())) / ranges[own])[:, None]
     return changed, own
-
-
-def cylinder(
-    origin: np.ndarray, beams: np.ndarray, centre: np.ndarray, radius: float, low: float, high: float
-) -> np.ndarray:
-    """Ranges (N,) at which unit ``beams`` (N, 3) from ``origin`` outside meet an upright cylinder's wall; else inf."""
-    to = origin[:2] - centre
-    a = (beams[:, :2] ** 2).sum(axis=1)
-    b = beams[:, :2] @ to
-    inside = b * b - a * (to @ to - radius * radius)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = (-b - np.sqrt(inside)) / a
-        z = origin[2] + t * beams[:, 2]
-    return np.where((inside > 0.0) & (t > 0.0) & (z > low) & (z < high), t, np.inf)
 
 
 def blocked(

@@ -113,9 +113,10 @@ def crossed(of: Seen, axes: Axes, place: Placement) -> bool:
     return any((parts[begun] == part).any() and (parts[ended] == part).any() for part in range(1, number + 1))
 
 
-def missed(
-    draw: Callable[[np.random.Generator], Placement], surface: str, model: str, seed: int, number: int
-) -> list[int]:
+Draw = Callable[[np.random.Generator], Placement]
+
+
+def missed(draw: Draw, surface: str, model: str, seed: int, number: int) -> list[int]:
     """The draws whose thing the robot would drive into."""
     found = []
     for k in range(number):

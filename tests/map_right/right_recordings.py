@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from right_maps import Sweep, still
+from scipy.spatial.transform import Rotation
 
 from roughmap import Limits, Noise, Scan
-from scipy.spatial.transform import Rotation
 
 NOISE = Noise(range_sigma=0.02, beam_sigma=0.001)
 """Neither scanner's sheet came with its recording; these are usual."""
