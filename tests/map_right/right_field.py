@@ -5,11 +5,11 @@ import math
 
 import numpy as np
 from right_cast import Axes, Post, Scanner, Shape, Slab, drive
-from right_maps import add, make_map, seen
+from right_maps import Sweep, add, make_map, seen
 from right_row import Row
 from scipy.spatial.transform import Rotation
 
-from roughmap import Limits
+from roughmap import Limits, georeference
 
 RADIUS, TALL = 0.25, 1.75
 PEOPLE = 5
@@ -22,7 +22,7 @@ FIELD = (45.0, 45.0, 180.0, 180.0)
 
 
 def blocked(seed: int, rounds: int, model: str, surface: str, limits: Limits) -> tuple[float, float]:
-    """Percent of the cells within a person's radius that are forbidden while it stands there, and 2 s after it left.
+    """Percent of the cells that returned something of a person which are forbidden: while it stands, and 2 s after.
 
     The robot stands and rocks a little; ``PEOPLE`` stand 2.5 to 8 m around it at the same time, ``rounds`` times."""
     cells = then = after = 0
@@ -46,12 +46,23 @@ def blocked(seed: int, rounds: int, model: str, surface: str, limits: Limits) ->
                 if there[k] and not there[k + 1]:
                     while_there = seen(made, surface, box)
             now = seen(made, surface, box)
-        x, y = axes.local(now.grid.x, now.grid.y)
-        was = (np.hypot(x[..., None] - spots[:, 0], y[..., None] - spots[:, 1]) < RADIUS).any(axis=-1)
+        was = (
+            now.grid.hits(np.concatenate([of_people(s, axes, spots) for s, k in zip(sweeps, there, strict=True) if k]))
+            > 0
+        )
         cells += int(was.sum())
         then += int(while_there.forbidden[was].sum())
         after += int(now.forbidden[was].sum())
     return 100.0 * then / cells, 100.0 * after / cells
+
+
+def of_people(sweep: Sweep, axes: Axes, spots: np.ndarray) -> np.ndarray:
+    """The points of a sweep, in the map, that lie on a person, over the ground."""
+    placed = georeference(sweep.scan, sweep.trajectory, sweep.noise)[0]
+    placed = placed[np.isfinite(placed[:, 0])]
+    x, y = axes.local(placed[:, 0], placed[:, 1])
+    near = np.hypot(x[:, None] - spots[:, 0], y[:, None] - spots[:, 1]).min(axis=1) < RADIUS + 0.05
+    return placed[near & (placed[:, 2] > axes.shift[2] + 0.1)]
 
 
 def rows(seed: int, rounds: int, model: str) -> list[Row]:

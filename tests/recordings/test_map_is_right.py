@@ -57,11 +57,9 @@ def test_the_driven_track(path: Offroad, model: str) -> None:
     judged(right_offroad.rows(path, before, after))
 
 
-def test_strays(walk: Hall, true: Truth, path: Offroad) -> None:
+def test_strays(walk: Hall, true: Truth) -> None:
     clean = {surface: right_hall.read(surface, walk.sweeps(), "cuboid") for surface in SURFACES}
     judged(right_strays.hall_rows(walk, clean, true, 1, "cuboid"))
-    clean = {surface: right_offroad.read(surface, path, "cuboid") for surface in SURFACES}
-    judged(right_strays.offroad_rows(path, clean, 1, "cuboid"))
 
 
 def test_people_who_left(walk: Hall, true: Truth) -> None:
