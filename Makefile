@@ -6,7 +6,7 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-random test-recordings check audit bench bench-against bench-peers faults walks fuzz soak overload schemas lock image container-test clean
+.PHONY: help setup demo test test-random test-recordings map-right check audit bench bench-against bench-peers faults walks fuzz soak overload schemas lock image container-test clean
 
 help:  ## show this list
 	@echo "make TARGET, where TARGET is:"
@@ -35,6 +35,10 @@ test-random: $(READY)  ## run the property tests with random examples, ten times
 test-recordings: $(READY)  ## run the tests with recorded scans: DATA=FOLDER (CONTRIBUTING.md names what it must hold)
 	@test -d "$(DATA)" || { echo "no folder of recordings: make test-recordings DATA=FOLDER"; exit 1; }
 	$(BIN)/python -m pytest tests/recordings --recordings "$(DATA)" $(ARGS)
+
+map-right: $(READY)  ## judge the map: a table of figures with their marks, pictures in right/: DATA=FOLDER as above
+	@test -d "$(DATA)" || { echo "no folder of recordings: make map-right DATA=FOLDER"; exit 1; }
+	$(BIN)/python tests/map_right/run.py "$(DATA)" $(ARGS)
 
 check: $(READY)  ## check style, types, import rules and exported schemas
 	$(BIN)/ruff check .

@@ -1,8 +1,11 @@
-"""The folder of recordings, from `make test-recordings DATA=FOLDER`."""
+"""The folder of recordings, from `make test-recordings DATA=FOLDER`; the judges of `make map-right` within reach."""
 
+import sys
 from pathlib import Path
 
 import pytest
+
+sys.path.append(str(Path(__file__).parents[1] / "map_right"))
 
 
 @pytest.fixture(scope="session")
