@@ -209,6 +209,8 @@ class TileTable:
 
     def refresh_digests(self) -> None:
         """Compute the digests of the tiles that have changed since the last call."""
+        if not self.digests.outdated:
+            return
         entries = np.array(sorted(self.digests.outdated), np.int32)
         found = np.empty((len(entries), 16), np.uint8)
         for n, slot in enumerate(self.slot[entries].tolist()):

@@ -13,8 +13,10 @@ from roughmap import RoughMap
 from roughmap.tiles import digest
 from roughmap.tiles import table as tiles
 from roughmap.tiles.index import LevelIndex
+from roughmap.tiles.shelf import Shelf
 from roughmap.tiles.slabs import SLAB_PLACES
-from roughmap.tiles.slots import SlotPool
+from roughmap.tiles.slots import SLOT_BYTES, SlotPool
+from roughmap.tiles.table import TileTable
 
 TILE = st.tuples(st.integers(-(2**25), 2**25 - 1), st.integers(-3, 3))
 
@@ -85,3 +87,25 @@ def test_a_map_without_memory_for_its_tables_is_as_it_was(monkeypatch: pytest.Mo
                 m.add(part)
         m.add(part)
     assert m.digest() == whole.digest()
+
+
+@pytest.mark.parametrize("number", range(7))
+def test_without_memory_no_tile_is_opened(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    """One tile is known and has no column yet; with it come more new ones than the tables hold."""
+    table = TileTable((1,) * 3, Shelf())
+    tx, ty = np.arange(40, dtype=np.int32), np.zeros(40, np.int32)
+    table.insert(tx[:1], ty[:1])
+    entries, dense = np.where(tx == 0, 0, -1).astype(np.int32), tx % 2 == 0
+    with monkeypatch.context() as patch:
+        grown = failing(number, tiles.grown)
+        patch.setattr(tiles, "grown", grown)
+        patch.setattr(digest, "grown", grown)
+        with pytest.raises(MemoryError):
+            table.open(entries, tx, ty, dense, columns=True)
+    assert (table.size, table.pool.nbytes, table.digests.outdated) == (1, SLOT_BYTES, {0})
+    entries, taken = table.open(entries, tx, ty, dense, columns=True)
+    assert entries.tolist() == tx.tolist()
+    assert sorted(taken.tolist()) == sorted(table.slot[entries].tolist())
+    assert table.pool.dense[table.slot[entries]].tolist() == [False, *dense[1:].tolist()]
+    _, taken = table.open(entries, tx, ty, dense, columns=True)
+    assert len(taken) == 0

@@ -96,6 +96,22 @@ def test_a_copy_has_a_column_of_its_own(rows: range) -> None:
     assert content(pool, copies[0]) != was[0]
 
 
+def test_a_copy_has_nothing_of_a_column_that_was_there_before() -> None:
+    """The memory of a freed column is kept for the next copy."""
+    pool = SlotPool()
+    first, second = pool.allocate(2).tolist()
+    pool.take_columns(only(first, second))
+    write(pool, first, np.arange(0, 4096, 3))
+    write(pool, second, np.arange(640, 1000, 7))
+    for source in (first, second, first):
+        copy = pool.duplicate(only(source))
+        assert content(pool, int(copy[0])) == content(pool, source)
+        pool.release(copy)
+    fresh = pool.allocate(3)
+    pool.take_columns(fresh)
+    assert not any(any(content(pool, slot)[2]) for slot in fresh.tolist())
+
+
 def test_a_pinned_slot_keeps_its_column_until_it_is_unpinned() -> None:
     pool, cells = SlotPool(), np.arange(100, 200)
     slot = only(pool.allocate(1)[0])
