@@ -372,6 +372,7 @@ class RoughMap:
         return FrozenMap(
             self._table,
             self._cache,
+            surface=self.settings.surface,
             level=level,
             box=box,
             after=after,

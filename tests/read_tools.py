@@ -4,7 +4,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from roughmap.cell import CELL_DTYPE, TILE_CELLS
+from roughmap.cell import CELL_DTYPE, TILE_CELLS, TRUST_DTYPE
+from roughmap.tiles.state import TileState
 
 TILE_SHAPE = (TILE_CELLS, TILE_CELLS)
 
@@ -22,6 +23,11 @@ def cell_of(heights: Iterable[float], weights: Iterable[float] | None = None, up
     record["min"], record["max"] = h.min(), h.max()
     record["inv_cf"] = 1e6 * total
     return record
+
+
+def state_of(records: np.ndarray) -> TileState:
+    """Return the state of a tile whose points have no errors in common."""
+    return TileState(records.reshape(-1), np.zeros(TILE_CELLS * TILE_CELLS, TRUST_DTYPE), None)
 
 
 def tile_of(cells: dict[tuple[int, int], np.ndarray]) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from roughmap.map import RoughMap
-from roughmap.reading.layers import LAYERS
+from roughmap.reading.layers import PAPER_LAYERS
 from roughmap.reference.batch import BatchMap
 
 EXACT = ("max_height", "min_height", "range", "mid_range_height", "count", "age")
@@ -23,7 +23,7 @@ def compare(m: RoughMap, b: BatchMap, height: float, **options: object) -> None:
     if len(b.cells) == 0:
         assert m.tile_count == 0
         return
-    got, known = over_cells(m, b.cells, LAYERS, **options)
+    got, known = over_cells(m, b.cells, PAPER_LAYERS, **options)
     assert known == len(b.cells)
     for name in EXACT:
         np.testing.assert_array_equal(got[name], b[name], err_msg=name)

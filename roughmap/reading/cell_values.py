@@ -1,7 +1,7 @@
 """The layers of a cell's own record, as many as are asked for in one pass over the records."""
 
 from collections.abc import Iterable
-from math import erf, nan, sqrt
+from math import nan, sqrt
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy.typing as npt
 from roughmap.arrays import F8, I8, U1, U8, Records
 from roughmap.cell import CELL_DTYPE, TILE_CELLS
 from roughmap.jit import inline, kernel
+from roughmap.reading.functions import ROOT_HALF, erf
 from roughmap.reading.layers import CELL_LAYERS, SINGLE_POINT
 
 (
@@ -29,8 +30,6 @@ from roughmap.reading.layers import CELL_LAYERS, SINGLE_POINT
 ) = range(len(CELL_LAYERS))
 
 _NUMBERS = {name: number for number, name in enumerate(CELL_LAYERS)}
-
-ROOT_2 = sqrt(2.0)
 
 WEIGHT_AT, WEIGHT_SQ_AT, MEAN_AT, M2_AT, MIN_AT, MAX_AT, INV_CF_AT = range(1, 8)
 """Words of a record of ``CELL_DTYPE``. Word 0 is count | updated << 32."""
@@ -93,7 +92,7 @@ def _fill(
                     spread = _std_dev(count, weight, weight_sq, words[c, M2_AT])
                     if spread == spread:  # noqa: PLR0124 - not NaN; erf(inf) = 1 where it is 0
                         x = tolerance * sqrt(_expected_count(weight, weight_sq)) / (2.0 * spread)
-                        out[at + c * step] = erf(x / ROOT_2)
+                        out[at + c * step] = erf(x * ROOT_HALF)
                     else:
                         out[at + c * step] = nan
             elif layer == CONFIDENCE_FACTOR:  # eq. 15, 16: 1 / inv_cf
@@ -143,7 +142,7 @@ def cell_layers(records: Records, names: Iterable[str], height_tolerance: float,
     chosen = tuple(names)
     numbers = _numbers(chosen)
     planes = np.empty((len(numbers), records.size))
-    _fill(*_words(records), numbers, height_tolerance, float(newest_updated), planes.reshape(-1), 1, records.size)
+    _fill(*as_words(records), numbers, height_tolerance, float(newest_updated), planes.reshape(-1), 1, records.size)
     return dict(zip(chosen, planes.reshape(-1, *records.shape), strict=True))
 
 
@@ -156,21 +155,21 @@ def packed_cell_layers(
     """
     numbers = _numbers(names)
     packed = np.empty((*records.shape, len(numbers)), np.float32)
-    _fill(*_words(records), numbers, height_tolerance, float(newest_updated), packed.reshape(-1), len(numbers), 1)
+    _fill(*as_words(records), numbers, height_tolerance, float(newest_updated), packed.reshape(-1), len(numbers), 1)
     return packed
 
 
 def known_bits(records: Records) -> tuple[int, bytes]:
     """Return how many of a tile's records are known, and which: a bit each, as `numpy.packbits` packs them."""
     bits = np.empty(records.size // 8, np.uint8)
-    return _known(_words(records)[0], bits), bits.tobytes()
+    return _known(as_words(records)[0], bits), bits.tobytes()
 
 
 def _numbers(names: Iterable[str]) -> I8:
     return np.array([_NUMBERS[name] for name in names], np.int64)
 
 
-def _words(records: Records) -> tuple[U8, F8]:
+def as_words(records: Records) -> tuple[U8, F8]:
     """Return (N, 8) views of N records: their unsigned words and their floats."""
     flat = np.ascontiguousarray(records).reshape(-1)
     flat.flags.writeable = False  # numba compiles a kernel once more for arrays that may be written

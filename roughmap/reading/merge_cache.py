@@ -3,7 +3,7 @@
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable
-from typing import Any
+from typing import Protocol, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,17 @@ CACHE_BYTES = 64 << 20
 """256 tiles. Computing a tile of level 1 again costs about 50 us; one of level 7 reads up to 4 GB of cells."""
 
 Key = tuple[object, ...]
-Array = npt.NDArray[Any]
+
+
+class Sized(Protocol):
+    """An array, or several that belong together."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+
+
+Made = TypeVar("Made", bound=Sized)
 
 
 class MergeCache:
@@ -36,21 +46,21 @@ class MergeCache:
         self.generation = 0
         self.abandoned: deque[tuple[TileTable, npt.NDArray[np.int32]]] = deque()
         # Two parts: entries of the level that is read, and entries of lower levels.
-        self._kept: tuple[OrderedDict[Key, Array], ...] = OrderedDict(), OrderedDict()
+        self._kept: tuple[OrderedDict[Key, Sized], ...] = OrderedDict(), OrderedDict()
         self._bytes = [0, 0]
         self._lock = threading.Lock()
 
-    def get(self, key: Key, make: Callable[[], Array], *, lower: bool = False) -> Array:
-        """Return the array cached under ``key``, else cache and return the result of ``make``, which must not change.
+    def get(self, key: Key, make: Callable[[], Made], *, lower: bool = False) -> Made:
+        """Return what is cached under ``key``, else cache and return the result of ``make``, which must not change.
 
-        ``lower``: the array belongs to a level below the one that is read. ``make`` runs without the lock: two threads
+        ``lower``: it belongs to a level below the one that is read. ``make`` runs without the lock: two threads
         may compute the same array at once, and one of the two is kept.
         """
         with self._lock:
             for kept in self._kept:
                 if key in kept:
                     kept.move_to_end(key)
-                    return kept[key]
+                    return cast("Made", kept[key])
         made = make()
         with self._lock:
             if not any(key in kept for kept in self._kept) and made.nbytes <= self.limit:

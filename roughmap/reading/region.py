@@ -6,7 +6,7 @@ from math import ceil, floor, isfinite
 from roughmap.arrays import F8
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
 from roughmap.reading.frozen import FrozenMap
-from roughmap.reading.layers import check_limits, check_names, check_tolerance, unknown_plane
+from roughmap.reading.layers import unknown_plane
 
 Bbox = tuple[float, float, float, float]
 CellBox = tuple[int, int, int, int]
@@ -93,9 +93,7 @@ def read_region(
     Layers that need neighbours use cells outside the box too. ValueError for a box that ``cell_box`` refuses or
     ``frozen`` does not cover, an unknown layer or limit, and a tolerance that is not positive.
     """
-    names = check_names(names)
-    check_tolerance(height_tolerance)
-    check_limits(limits)
+    names = frozen.check(names, height_tolerance, limits)
     cells = cell_box(bbox, frozen.cell_size)
     tiles = tile_box(cells)
     if not frozen.covers(tiles):

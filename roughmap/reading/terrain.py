@@ -6,18 +6,19 @@ cells are NaN.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import atan, inf, isnan, nan, sqrt
+from math import inf, isnan, nan, sqrt
 
 import numpy as np
 
 from roughmap.arrays import F8
 from roughmap.jit import inline, kernel
-from roughmap.reading.layers import GroundLimits
+from roughmap.reading.functions import atan
+from roughmap.reading.layers import PaperLimits
 
 NO_PLANE = np.empty((0, 0))
 """Placeholder for a plane that is not needed."""
 
-UNLIMITED: GroundLimits = (inf, inf, inf, inf, inf)
+UNLIMITED: PaperLimits = (inf, inf, inf, inf, inf)
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ def _worse(least: float, term: float) -> float:
 def _derive(
     mean: F8,
     side: float,
-    limits: GroundLimits,
+    limits: PaperLimits,
     std_dev: F8,
     extent: F8,
     confidence: F8,
@@ -124,7 +125,7 @@ def _derive(
 def derive(
     mean: F8,
     side: float,
-    limits: GroundLimits | None = None,
+    limits: PaperLimits | None = None,
     std_dev: F8 = NO_PLANE,
     extent: F8 = NO_PLANE,
     confidence: F8 = NO_PLANE,

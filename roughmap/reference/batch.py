@@ -16,7 +16,7 @@ from roughmap.arrays import F8, I8, Flags
 from roughmap.cell import STAMP_LIMIT_NS, PointReason
 from roughmap.points.bodies import HEIGHT_MAX
 from roughmap.points.checks import checked_points
-from roughmap.reading.layers import LAYERS, LIMIT_NAMES, SINGLE_POINT, check_limits, check_tolerance
+from roughmap.reading.layers import LIMIT_NAMES, PAPER_LAYERS, SINGLE_POINT, check_limits, check_tolerance
 from roughmap.reference.batch_shares import Pairs, cells_of_bodies, cells_of_points
 from roughmap.reference.error_function import erf
 
@@ -68,7 +68,7 @@ class BatchMap(Mapping[str, F8]):
             raise ValueError(f"error_model is {error_model!r}; expected point, cuboid or ellipsoid")
         self._side = float(cell_size)
         self._tolerance = check_tolerance(height_tolerance)
-        self._limits = dict(zip(LIMIT_NAMES, check_limits(limits), strict=True))
+        self._limits = dict(zip(LIMIT_NAMES["all"], check_limits(limits), strict=True))
         where, stamps = _checked_points(points, stamp_ns)
         reason = np.zeros(len(where), dtype=np.uint8)
         _reject(reason, ~np.isfinite(where).all(axis=1), PointReason.NOT_FINITE)
@@ -132,10 +132,10 @@ class BatchMap(Mapping[str, F8]):
         return _FORMULAS[name](self).astype(np.float64)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(LAYERS)
+        return iter(PAPER_LAYERS)
 
     def __len__(self) -> int:
-        return len(LAYERS)
+        return len(PAPER_LAYERS)
 
     @cached_property
     def _expected_count(self) -> F8:
@@ -184,7 +184,9 @@ class BatchMap(Mapping[str, F8]):
 
     def _traversability(self) -> F8:
         """Return the least of the terms: 0 if any term is 0, else NaN if any term is NaN."""
-        layers = dict(zip(LIMIT_NAMES, ("slope", "step_height", "std_dev", "range", "confidence_level"), strict=True))
+        layers = dict(
+            zip(LIMIT_NAMES["all"], ("slope", "step_height", "std_dev", "range", "confidence_level"), strict=True)
+        )
         terms = []
         for name, limit in self._limits.items():
             if np.isfinite(limit):

@@ -9,6 +9,7 @@ from roughmap.arrays import I4, I8, U8, Scalar
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
 from roughmap.jit import inline, kernel
 from roughmap.tiles.index import find, tile_key
+from roughmap.tiles.reach import ring as ring_width
 
 _SHIFT = np.int64(TILE_SHIFT)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -31,8 +32,7 @@ def rings(surface: str, cell_size: float, levels: int) -> tuple[int, ...]:
     """
     if surface == "all":
         return (1,) * levels
-    sides = [cell_size * (1 << level) for level in range(levels)]
-    return tuple(min(round(max(0.3, 1.5 * s) / s), 6) + min(round(max(0.5, 2.0 * s) / s), 10) + 1 for s in sides)
+    return tuple(ring_width(cell_size * (1 << level)) for level in range(levels))
 
 
 @kernel

@@ -170,8 +170,6 @@ class CellState(Message):
     """Mean variance of the points' heights from the poses."""
     mount_sigma: Known = 0.0
     """Mean standard deviation of the points' heights from the mounting of the sensor."""
-    supported: bool = False
-    """Whether the ground was confirmed after points off it came."""
     off_ground: list[Hits] = []
     """What was seen above and below the ground, ascending."""
 

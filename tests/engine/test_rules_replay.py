@@ -63,6 +63,8 @@ SETTINGS: tuple[dict[str, Any], ...] = (
     {"sensors": {"lidar": {"range_sigma": 0.01, "time_offset": 0.05}}},
     {"input": {"pose_history": 1.0, "max_pose_gap": 0.15, "max_leap": 0.01, "max_speed": 0.5}},
     {"robots": {"r1": {"pose_covariance": "configured"}}, "sensors": {"camera": {"range_sigma": 0.3}}},
+    {"map": {"keep": {"radius": 4.0, "age": 6.0}, "clear_interval": 1.0}},
+    {"map": {"clear_interval": 0.0}, "robots": {"r2": {"pose_error_time": 60.0}}},
 )
 
 
@@ -70,7 +72,8 @@ def settings_of(which: int) -> Config:
     """One of the tests' configurations, all of one map."""
     both = {"lidar": {"range_sigma": 0.01}, "camera": {"range_sigma": 0.02}}
     given = SETTINGS[which]
-    return config(service={"threads": 1}, **{**given, "sensors": {**both, **given.get("sensors", {})}})
+    own = {"map": {"surface": "ground", **given.get("map", {})}, "sensors": {**both, **given.get("sensors", {})}}
+    return config(service={"threads": 1}, **{**given, **own})
 
 
 @dataclass

@@ -5,17 +5,19 @@ import threading
 import numpy as np
 import pytest
 import xxhash
-from read_tools import TILE_SHAPE, chance_tile
+from read_tools import TILE_SHAPE, chance_tile, state_of
 
-from roughmap.cell import CELL_DTYPE, TRUST_DTYPE
+from roughmap.cell import CELL_DTYPE
 from roughmap.map import RoughMap
 from roughmap.reading import levels
 from roughmap.reading.cell_values import cell_layers
-from roughmap.reading.layers import CELL_LAYERS, LAYERS
+from roughmap.reading.layers import CELL_LAYERS, layers_of
 from roughmap.reading.merge_cache import MergeCache
-from roughmap.tiles.state import TileState
+from roughmap.tiles.digest import tile_digest
 
 SIDE = 0.25
+
+LAYERS = layers_of("all")
 
 
 @pytest.fixture
@@ -32,12 +34,7 @@ def put(m: RoughMap, *points: tuple[float, float, float], stamp_s: int = 0) -> N
 
 def load(m: RoughMap, tiles: dict[tuple[int, int], np.ndarray]) -> None:
     for (x, y), records in tiles.items():
-        m.load_tile(x, y, state(records), 1_000, 2_000)
-
-
-def state(records: np.ndarray) -> TileState:
-    """The state of a tile of (64, 64) cells, without anything to trust."""
-    return TileState(records.reshape(-1), np.zeros(4096, TRUST_DTYPE), None)
+        m.load_tile(x, y, state_of(records), 1_000, 2_000)
 
 
 def test_an_empty_map(m: RoughMap) -> None:
@@ -87,14 +84,13 @@ def test_a_loaded_tile_is_seen_at_all_levels(m: RoughMap) -> None:
 
 def test_the_digest_is_that_of_the_state(m: RoughMap) -> None:
     tile = chance_tile(3)
-    expected = xxhash.xxh3_128_hexdigest(tile.tobytes() + bytes(20 * 4096))
     load(m, {(-2, 7): tile})
     with m.freeze() as frozen:
-        assert frozen.digest(-2, 7) == expected
+        assert frozen.digest(-2, 7) == tile_digest(state_of(tile)).hex()
         assert frozen.records(-2, 7).tobytes() == tile.tobytes()
     x, y, digests = m.tile_digests()
     assert (x.tolist(), y.tolist()) == ([-2], [7])
-    assert digests[0].tobytes().hex() == expected
+    assert digests[0].tobytes().hex() == tile_digest(state_of(tile)).hex()
 
 
 def test_later_changes_do_not_show(m: RoughMap) -> None:

@@ -11,11 +11,16 @@ from roughmap.cell import CELL_DTYPE
 from roughmap.reading.cell_values import cell_layers
 from roughmap.reading.layers import (
     CELL_LAYERS,
+    DEFAULT_LIMITS,
+    GROUND_LAYERS,
     LAYERS,
     LIMIT_NAMES,
+    MAX_CLEARANCE,
+    check_ground_limits,
     check_limits,
     check_names,
     check_tolerance,
+    layers_of,
 )
 from roughmap_schemas import layers as contract
 
@@ -29,11 +34,18 @@ def read(record: np.ndarray, tolerance: float = 0.05, newest: int = 0) -> dict[s
 def test_the_layers_of_the_contract_in_its_order() -> None:
     assert (
         *("mean_height", "mid_range_height", "max_height", "min_height", "std_dev", "range", "confidence_level"),
-        *("confidence_factor", "mean_variance", "count", "weight", "expected_count", "age", "gradient_x"),
-        *("gradient_y", "slope", "step_height", "traversability"),
+        *("confidence_factor", "mean_variance", "count", "weight", "expected_count", "age"),
+        *("mean_sigma", "interval_95", "confidence", "local_confidence"),
+        *("gradient_x", "gradient_y", "slope", "step_height", "traversability"),
+        *("roughness", "obstacle", "obstacle_top", "overhang_low", "passable_share"),
     ) == LAYERS
     assert LAYERS == contract.LAYERS
+    assert GROUND_LAYERS == contract.GROUND_LAYERS
     assert LIMIT_NAMES == contract.LIMIT_NAMES
+    assert DEFAULT_LIMITS == contract.DEFAULT_LIMITS
+    assert MAX_CLEARANCE == contract.MAX_CLEARANCE
+    for surface in ("ground", "all"):
+        assert layers_of(surface) == contract.layers_of(surface)
 
 
 def test_three_points() -> None:
@@ -107,6 +119,9 @@ def test_names() -> None:
     assert check_names("slope") == ("slope",)
     with pytest.raises(ValueError, match=r"'heigth'.*mean_height"):
         check_names(["mean_height", "heigth"])
+    assert check_names(["mean_sigma"], "all") == ("mean_sigma",)
+    with pytest.raises(ValueError, match=r"'roughness'.*'ground'"):
+        check_names(["roughness"], "all")
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, nan, float("inf")])
@@ -119,6 +134,21 @@ def test_limits() -> None:
     inf = float("inf")
     assert check_limits(None) == (0.5, 0.2, 0.1, inf, 0.9)
     assert check_limits({"range": 0.3, "slope": 1}) == (1.0, inf, inf, 0.3, inf)
+
+
+def test_limits_of_the_ground() -> None:
+    """Each has its default, since each decides what a plane or an object is."""
+    assert check_ground_limits(None) == check_ground_limits({}) == (0.5, 0.2, 0.1, 0.9, 2.0)
+    assert check_ground_limits({"clearance": 2.5, "step": 0.3}) == (0.5, 0.3, 0.1, 0.9, 2.5)
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [{"std_dev": 0.1}, {"range": 0.1}, {"clearance": 2.6}, {"step": 0.0}, {"slope": nan}, {"confidence": 1e999}],
+)
+def test_bad_limits_of_the_ground(limits: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(limits))):
+        check_ground_limits(limits)
 
 
 @pytest.mark.parametrize("limits", [{"slop": 0.5}, {"slope": 0.0}, {"step": -1.0}, {"range": nan}, {"step": 1e999}, {}])

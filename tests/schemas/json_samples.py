@@ -118,7 +118,6 @@ STATE: dict[str, Any] = {
     "shared": 0.125,
     "pose_variance": 0.5,
     "mount_sigma": 0.0,
-    "supported": True,
     "off_ground": [{"height": 1.125, "hits": 15}],
 }
 

@@ -13,7 +13,7 @@ from properties import examples
 from spill_tools import FAR, S, filled, ground, leave, leave_all, tiles_of
 
 from roughmap import RoughMap
-from roughmap.reading.layers import LAYERS
+from roughmap.reading.layers import layers_of
 from roughmap.tiles.state import TileState
 from roughmap_service.store.spill import SLICE_BYTES, Spill
 
@@ -22,7 +22,8 @@ ALL = (-20.0, -20.0, 20.0, 20.0)
 
 def read_all(rough_map: RoughMap, levels: Sequence[int] = (0, 1, 3)) -> list[bytes]:
     """Every layer over all of the ground, to the bit."""
-    return [rough_map.region(ALL, list(LAYERS), level)[name].tobytes() for level in levels for name in LAYERS]
+    names = layers_of(rough_map.settings.surface)
+    return [rough_map.region(ALL, names, level)[name].tobytes() for level in levels for name in names]
 
 
 steps = st.lists(

@@ -13,7 +13,7 @@ from service_tools import WAIT_S, LoggedRun, cloud, config
 from spill_tools import leave
 
 from roughmap import RoughMap
-from roughmap.reading.layers import LAYERS
+from roughmap.reading.layers import layers_of
 from roughmap.tiles.shelf import empty_state
 from roughmap_schemas import IntegrationEvent
 from roughmap_schemas.kinds import Kind
@@ -80,7 +80,8 @@ def seen(m: RoughMap) -> list[Any]:
             tiles = frozen.tiles.tolist()
             found.append((tiles, frozen.sequences.tolist(), [frozen.stamps(x, y) for x, y in tiles]))
             found.append([frozen.digest(x, y) for x, y in tiles])
-    found += [m.region(ALL, list(LAYERS), level)[name].tobytes() for level in (0, 2) for name in LAYERS]
+    names = layers_of(m.settings.surface)
+    found += [m.region(ALL, names, level)[name].tobytes() for level in (0, 2) for name in names]
     return found
 
 

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import numpy as np
 import numpy.typing as npt
 
-from roughmap.cell import BASED, CELL_DTYPE, SUPPORTED, TILE_CELLS, TILE_SHIFT
+from roughmap.cell import BASED, CELL_DTYPE, TILE_CELLS, TILE_SHIFT
 from roughmap.tiles.state import TileState
 from roughmap_schemas.encodings import json_encoding
 from roughmap_schemas.faults import QueryFault
@@ -93,7 +93,6 @@ def _cell_state(state: TileState | None, row: int, column: int) -> CellState | N
     values = {name: record[name].item() for name in CELL_DTYPE.names or ()}
     values |= {name: trust[name].item() for name in TRUST_MEMBERS}
     if state.column is not None and state.column[cell]["flags"] & BASED:
-        values["supported"] = bool(state.column[cell]["flags"] & SUPPORTED)
         values["off_ground"] = _hits(state.column[cell])
     return CellState(**values)
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from roughmap import RoughMap
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
 from roughmap.reading.frozen import FrozenMap
-from roughmap_schemas.layers import layers_of
+from roughmap.reading.layers import layers_of
 
 SKIPPED = ("age",)
 """Layers of time, which no setting changes."""
@@ -37,8 +37,8 @@ Arrays = dict[str, npt.NDArray[np.float64]]
 
 def compare(before: RoughMap, now: RoughMap) -> list[LayerDifference]:
     """Return the difference of each layer that both have, at the cell centres of the map with the larger cells."""
-    both = [layers_of(one.settings.surface) for one in (before, now)]
-    names = [name for name in both[0] if name in both[1] and name not in SKIPPED]
+    both = set(layers_of(before.settings.surface)) & set(layers_of(now.settings.surface))
+    names = [name for name in layers_of("ground") if name in both and name not in SKIPPED]
     pairs: dict[str, list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]] = {name: [] for name in names}
     for ours, theirs in _blocks(before, now, names):
         for name in names:
