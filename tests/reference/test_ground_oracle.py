@@ -110,9 +110,7 @@ def written(m: RoughMap) -> Found:
         for k in range(len(cells)):
             record = cells[k].tobytes(), trust[k].tobytes(), column[k].tobytes()
             if any(map(any, record)):
-                found[int(base.tx[n]) * TILE_CELLS + k % TILE_CELLS, int(base.ty[n]) * TILE_CELLS + k // TILE_CELLS] = (
-                    record
-                )
+                found[i0 + k % TILE_CELLS, j0 + k // TILE_CELLS] = record
     return found
 
 
