@@ -22,6 +22,7 @@ LIMITS = [
     Limits(min_range=1.0, max_range=8.0),
     Limits(ceiling=0.4, exclude=((-1.0, -1.0, -2.0, 2.0, 1.0, 2.0),)),
 ]
+"""Returns that the map does not use say what was seen through, too."""
 
 
 def returns(rng: np.random.Generator, rings: int, far: list[float]) -> np.ndarray:
@@ -35,7 +36,7 @@ def returns(rng: np.random.Generator, rings: int, far: list[float]) -> np.ndarra
 
 
 @pytest.mark.parametrize("model", ERROR_MODELS)
-@examples(12)
+@examples(6)
 @given(
     seed=st.integers(0, 2**32 - 1),
     rings=st.sampled_from([5, 12]),
@@ -51,7 +52,7 @@ def test_every_byte_is_as_the_oracle_says(
     m = RoughMap(cell_size=cell_size, error_model=model, threads=1, surface="ground")
     oracle = GroundOracle(m.settings)
     cleared = 0
-    for k in range(5):
+    for k in range(4):
         yaw = rng.uniform(0.0, np.pi)
         stamp = (10 + 2 * k) * SECOND
         trajectory = Trajectory(
@@ -64,6 +65,7 @@ def test_every_byte_is_as_the_oracle_says(
         assert report.cleared == halved
         cleared += halved
     check(m, oracle)
+    assert cleared
 
 
 def follow(oracle: GroundOracle, scan: Scan, trajectory: Trajectory, limits: Limits) -> int:
