@@ -20,9 +20,6 @@ ROWS, COLUMNS = 330, 600
 NEAREST_RETURN, NEAREST_CELL = 0.1, 0.5
 """Horizontal distances, metres."""
 
-REACH = 0.0105
-"""Cells are cleared up to side / REACH metres away: there a cell is as wide as a pixel."""
-
 MARGIN = 0.3
 """Metres. A return must be so much farther than a cell to have passed it."""
 
@@ -51,12 +48,15 @@ def range_image(x: F8, y: F8, z: F8, reason: U1, origin: tuple[float, float, flo
 
 
 def clear_cells(cells: Cells, image: Any, origin: tuple[float, float, float], a: float) -> int:
-    """Halve the hits of the ``cells`` (of side ``a``) that the image was seen through; return how many changed."""
+    """Halve the hits of the ``cells`` (of side ``a``) that the image was seen through; return how many changed.
+
+    A cell is judged as far away as it is as wide as a pixel.
+    """
     halved = 0
     for (i, j), cell in cells.items():
         dx, dy = (i + 0.5) * a - origin[0], (j + 0.5) * a - origin[1]
         d = math.sqrt(dx * dx + dy * dy)
-        if not cell.flags & BASED or not NEAREST_CELL <= d <= a / REACH:
+        if not cell.flags & BASED or not NEAREST_CELL <= d <= a / RESOLUTION:
             continue
         for k, hits in enumerate(cell.bins):
             z = (2 * cell.base + k + 0.5) * 0.05
@@ -80,7 +80,6 @@ def _pixel(dx: float, dy: float, dz: float, d: float) -> tuple[int, int]:
 
 
 def _diamond(dx: float, dy: float) -> float:
-    """Return the diamond angle of a direction in [0, 4): 0 along x, 1 along y."""
-    if dy >= 0.0:
-        return dy / (dx + dy) if dx >= 0.0 else 1.0 - dx / (dy - dx)
-    return 2.0 - dy / (-dx - dy) if dx < 0.0 else 3.0 + dx / (dx - dy)
+    """Return the diamond angle of a direction in [0, 4): 0 along x, 1 along y, by one division."""
+    part = dx / (abs(dx) + abs(dy))
+    return 1.0 - part if dy >= 0.0 else 3.0 + part

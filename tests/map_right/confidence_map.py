@@ -32,11 +32,11 @@ def maps(scene: Scene, model: str, surface: str) -> Iterator[tuple[int, RoughMap
 
 def mapped(scene: Scene, model: str, surface: str = "ground") -> State:
     """Return the cells of a scene from the records of maps."""
-    parts = [_cells(m) for _, m in maps(scene, model, surface)]
+    parts = [cells_of(m) for _, m in maps(scene, model, surface)]
     return State(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
-def _cells(m: RoughMap) -> State:
+def cells_of(m: RoughMap) -> State:
     """Return the known cells of a map, by tiles."""
     base = m._table.levels[0]
     found = []

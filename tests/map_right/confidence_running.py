@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from confidence_scene import FIRST, SIDE, A, Scene
-from scipy.special import stdtr
+from scipy.special import stdtr, stdtrit
 
 from roughmap.reference.batch_shares import cells_of_bodies, cells_of_points
 
@@ -73,15 +73,33 @@ def stated(cells: State, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     The paper's is NaN where it is not known.
     """
-    own, freedom = own_variance(cells)
-    var = own + cells.V + cells.M**2
-    ours = _within(error / np.sqrt(var), var**2 / (own**2 / freedom))
+    sigma, freedom = whole(cells)
+    ours = _within(error / sigma, freedom)
     n = cells.W**2 / cells.W2
     with np.errstate(divide="ignore", invalid="ignore"):
         std_dev = np.sqrt(cells.m2 / (cells.W - cells.W2 / cells.W))
         paper = _within(error * np.sqrt(n) / std_dev, np.full(len(n), 1e9))
     paper[(cells.count < 2) | (n <= 1.0 + 1e-6)] = np.nan
     return ours, paper
+
+
+def local(cells: State, error: np.ndarray) -> np.ndarray:
+    """Return the same, of the points' own heights alone."""
+    own, freedom = own_variance(cells)
+    return _within(error / np.sqrt(own), freedom)
+
+
+def whole(cells: State) -> tuple[np.ndarray, np.ndarray]:
+    """Return the standard deviation of the mean, and its degrees of freedom."""
+    own, freedom = own_variance(cells)
+    var = own + cells.V + cells.M**2
+    return np.sqrt(var), var**2 / (own**2 / freedom)
+
+
+def interval_95(cells: State) -> np.ndarray:
+    """Return half the width of the interval that holds the truth with 95 %."""
+    sigma, freedom = whole(cells)
+    return sigma * stdtrit(freedom, 0.975)
 
 
 def own_variance(cells: State) -> tuple[np.ndarray, np.ndarray]:

@@ -21,11 +21,11 @@ FIRST = 20
 ACROSS = 0.01
 """Sigma of a point's own place along x and along y, metres."""
 
-POINTS = (1, 1, 2, 4, 8, 16, 40, 80)
-"""How often beams meet a cell, drawn for each cell: a tile has cells of all kinds."""
+POINTS = (1, 1, 2, 3, 6, 12, 25, 50, 100)
+"""How often beams meet a cell, along x: as with the distance from a sensor, neighbours are met alike."""
 
-WINDOWS = (1, 3, 10, 20)
-"""In how many scans in a row, drawn for each cell."""
+WINDOWS = (1, 1, 1, 4, 4, 4, 20, 20, 20)
+"""In how many scans in a row, along y."""
 
 SCANS = 20
 
@@ -160,8 +160,8 @@ def scene(seed: int, kind: str, poses: str, tiles: int) -> Scene:
     truth = ground.reshape(tiles, SIDE, SPOTS, SIDE, SPOTS).mean(axis=(2, 4))
     wrong = POSES[poses](rng, tiles)
     shape = (tiles, SIDE, SIDE)
-    number, window = rng.choice(POINTS, shape), rng.choice(WINDOWS, shape)
-    begin = rng.integers(0, SCANS - window + 1)
+    number, window = np.broadcast_to(POINTS, shape), np.broadcast_to(np.array(WINDOWS)[:, None], shape)
+    begin = np.broadcast_to(rng.integers(0, SCANS, (tiles, 1, 1)) % (SCANS - window + 1), shape)
     cell = np.repeat(np.arange(truth.size), number.ravel())
     scan = begin.ravel()[cell] + rng.integers(0, window.ravel()[cell])
     order = np.argsort(scan, kind="stable")

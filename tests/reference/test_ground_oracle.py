@@ -4,11 +4,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from ground_records import check
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from roughmap.cell import BASED, CELL_DTYPE, COLUMN_DTYPE, TILE_CELLS, TRUST_DTYPE
 from roughmap.map import RoughMap
 from roughmap.points.footprint import ERROR_MODELS
 from roughmap.reference.ground import GroundOracle
@@ -91,51 +91,6 @@ CHOICES = st.fixed_dictionaries(
     }
 )
 """Settings of a map. The bounds cut through the first three places."""
-
-
-Found = dict[tuple[int, int], tuple[bytes, bytes, bytes]]
-"""Cell, trust and column by (i, j)."""
-
-
-def written(m: RoughMap) -> Found:
-    """Return all that a map holds, but for cells of which all is zero, and check that columns are where they belong."""
-    found: Found = {}
-    base = m._table.levels[0]
-    for n in range(base.size):
-        i0, j0 = int(base.tx[n]) * TILE_CELLS, int(base.ty[n]) * TILE_CELLS
-        state = m._table.state(int(m._table.slot[n]))
-        cells, trust = state.cells, state.trust
-        column = np.zeros(len(cells), COLUMN_DTYPE) if state.column is None else state.column
-        assert (state.column is not None) == bool((column["flags"] & BASED).any())
-        for k in range(len(cells)):
-            record = cells[k].tobytes(), trust[k].tobytes(), column[k].tobytes()
-            if any(map(any, record)):
-                found[int(base.tx[n]) * TILE_CELLS + k % TILE_CELLS, int(base.ty[n]) * TILE_CELLS + k // TILE_CELLS] = (
-                    record
-                )
-    return found
-
-
-def expected(oracle: GroundOracle) -> Found:
-    """Return all that the oracle holds."""
-    return {place: tuple(part.tobytes() for part in parts) for place, parts in oracle.records().items()}
-
-
-def told(found: Found, place: tuple[int, int]) -> str:
-    """Return a cell in words, for a failure."""
-    if place not in found:
-        return "nothing"
-    parts = zip(found[place], (CELL_DTYPE, TRUST_DTYPE, COLUMN_DTYPE), strict=True)
-    return "\n".join(str(np.frombuffer(part, kind)[0]) for part, kind in parts)
-
-
-def check(m: RoughMap, oracle: GroundOracle) -> None:
-    """Compare the bytes of all cells."""
-    got, wanted = written(m), expected(oracle)
-    for place in sorted(got.keys() | wanted.keys()):
-        assert got.get(place) == wanted.get(place), (
-            f"cell {place}: got\n{told(got, place)}\nexpected\n{told(wanted, place)}"
-        )
 
 
 @pytest.mark.parametrize("model", ERROR_MODELS)
