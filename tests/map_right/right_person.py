@@ -4,6 +4,7 @@ A person is an upright cylinder. Of a recorded scan, the beams that meet it retu
 did; so it hides what is behind it, and the hall around it is the recorded one.
 """
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from right_hall import BOX, Truth
 from right_maps import add, make_map, seen
 from right_recordings import Hall
 from right_row import Row
+from scipy.spatial import cKDTree
 
 from roughmap import Limits
 
@@ -22,11 +24,9 @@ RADIUS, TALL = 0.25, 1.75
 NOISE = 0.01
 """Standard deviation of the person's ranges, metres: clothes."""
 
-THERE = 7
-"""Scans that see the people: 3.5 s."""
-
-GONE = 4
-"""Scans that don't, until the map is judged: 2 s."""
+BEFORE, THERE, GONE = 3, 7, 4
+"""Scans before people come, that see them (3.5 s), and after they left, until the map is judged (2 s): all 14. A cell
+that was never seen without the person has the person for its ground; that is another matter."""
 
 NEAR, FAR = 2.5, 8.0
 """Metres from the scanner: where people are put. Farther than a / 0.0105 = 9.5 m no scanner of this resolution
@@ -42,6 +42,11 @@ FIELD = (45.0, 44.0, 180.0, 180.0)
 """Degrees up, down, left and right, that the hall's scanner sees, as its owner would declare them."""
 
 
+BACKED = 0.98
+"""Share of a person's outline behind which the recording must have returns for it to stand before something. Half of
+the hall's directions just below the horizon return nothing."""
+
+
 @dataclass(frozen=True)
 class Walk:
     """Where a person's axis is at each of the first scans, (THERE, 2) metres, and the floor's height there."""
@@ -50,8 +55,11 @@ class Walk:
     floor: np.ndarray
 
 
-def people(true: Truth, rng: np.random.Generator, step: float) -> list[Walk]:
-    """``PEOPLE`` walks of ``step`` metres a scan over open floor, each direction's own."""
+def people(hall: Hall, true: Truth, rng: np.random.Generator, step: float, backed: bool) -> list[Walk]:
+    """Up to ``PEOPLE`` walks of ``step`` metres a scan over bare floor, each direction's own; where ``backed``, only
+    before what returns."""
+    background = hall.placed(0) - hall.poses[0, :3, 3]
+    seen = cKDTree(_directions(background))
     walks: list[Walk] = []
     turn = rng.uniform(0.0, 2.0 * math.pi)
     for k in range(PEOPLE):
@@ -61,10 +69,28 @@ def people(true: Truth, rng: np.random.Generator, step: float) -> list[Walk]:
             middle = off * np.array([math.cos(bearing), math.sin(bearing)])
             across = np.array([-math.sin(bearing), math.cos(bearing)])
             way = middle + np.outer(np.arange(THERE) - THERE // 2, across * step)
-            if floor := _floors(way, true):
+            floor = _floors(way, true)
+            if floor and (not backed or all(_backing(seen, w, f) > BACKED for w, f in zip(way, floor, strict=True))):
                 walks.append(Walk(way, np.array(floor)))
                 break
     return walks
+
+
+def _directions(points: np.ndarray) -> np.ndarray:
+    """Azimuth and elevation, degrees (N, 2), of points from the sensor, in the map's axes."""
+    level = np.hypot(points[:, 0], points[:, 1])
+    return np.degrees(np.column_stack([np.arctan2(points[:, 1], points[:, 0]), np.arctan2(points[:, 2], level)]))
+
+
+def _backing(seen: cKDTree, at: np.ndarray, floor: float) -> float:
+    """Share of the directions in a person's outline, from 0.3 m over the floor up, with two returns within 0.9 degrees:
+    about what clearing looks at."""
+    off = float(np.hypot(*at))
+    side = np.linspace(-RADIUS, RADIUS, 9)
+    up = np.arange(floor + 0.3, floor + TALL, 0.05)
+    across = np.array([-at[1], at[0]]) / off
+    places = [np.column_stack([np.tile(at + s * across, (len(up), 1)), up]) for s in side]
+    return float((seen.query(_directions(np.concatenate(places)), k=2)[0][:, 1] < 0.9).mean())
 
 
 def _floors(way: np.ndarray, true: Truth) -> list[float]:
@@ -91,47 +117,63 @@ def put_in(
     return changed, own
 
 
-def blocked(
-    surface: str, hall: Hall, true: Truth, seed: int, rounds: int, step: float, model: str, limits: Limits | None = None
-) -> tuple[float, float]:
-    """Percent of the open cells that returned something of a person which are forbidden: in the last scan that sees
-    people, and 2 s after. Over ``rounds`` maps of ``PEOPLE`` people each."""
-    cells = while_there = after = 0
-    for turn in range(rounds):
-        rng = np.random.default_rng([seed, turn, round(step * 100)])
+@dataclass(frozen=True)
+class Case:
+    """``step``: metres a scan that people walk. ``backed``: see `people`. ``rounds``: maps, of ``PEOPLE`` each."""
+
+    step: float
+    backed: bool
+    seed: int
+    rounds: int
+
+
+def blocked(surface: str, hall: Hall, true: Truth, case: Case, model: str, limits: Limits) -> tuple[float, float, int]:
+    """Percent of the open cells that returned something of a person which are forbidden, in the last scan that sees
+    people, and 2 s after; and the number of people."""
+    cells = then = after = number = 0
+    for turn in range(case.rounds):
+        rng = np.random.default_rng([case.seed, turn])
+        walks = people(hall, true, rng, case.step, case.backed)
+        was = np.zeros(true.open.shape, bool)
         with make_map(surface, model) as made:
-            was = np.zeros(true.open.shape, bool)
-            walks = people(true, rng, step)
-            for scan in range(THERE + GONE):
+            for scan in range(BEFORE + THERE + GONE):
                 points = hall.points[scan]
                 own = np.zeros(len(points), bool)
-                for walk in walks if scan < THERE else ():
-                    points, mine = put_in(points, hall.poses[scan], walk.way[scan], walk.floor[scan], rng)
-                    own |= mine
-                placed = points[own] @ hall.poses[scan, :3, :3].T + hall.poses[scan, :3, 3]
-                was |= true.grid.hits(placed) > 0
-                sweep = hall.sweeps([*hall.points[:scan], points, *hall.points[scan + 1 :]], limits)[scan]
-                add(made, surface, sweep)
-                if scan == THERE - 1:
-                    then = seen(made, surface, BOX)
+                if BEFORE <= scan < BEFORE + THERE:
+                    for walk in walks:
+                        at = walk.way[scan - BEFORE], float(walk.floor[scan - BEFORE])
+                        points, mine = put_in(points, hall.poses[scan], *at, rng)
+                        own |= mine
+                was |= true.grid.hits(points[own] @ hall.poses[scan, :3, :3].T + hall.poses[scan, :3, 3]) > 0
+                sweep = hall.sweeps(limits=limits)[scan]
+                add(made, surface, dataclasses.replace(sweep, scan=dataclasses.replace(sweep.scan, points=points)))
+                if scan == BEFORE + THERE - 1:
+                    while_there = seen(made, surface, BOX)
             now = seen(made, surface, BOX)
         was &= true.open
+        number += len(walks)
         cells += int(was.sum())
-        while_there += int(then.forbidden[was].sum())
+        then += int(while_there.forbidden[was].sum())
         after += int(now.forbidden[was].sum())
-    return 100.0 * while_there / cells, 100.0 * after / cells
+    return 100.0 * then / cells, 100.0 * after / cells, number
 
 
 def rows(hall: Hall, true: Truth, seed: int, rounds: int, model: str) -> list[Row]:
-    """People who stood for 3.5 s, or walked through at 1 m/s, 2 s after they left; with and without a declared field
-    of view."""
+    """People who stood for 3.5 s, or walked through at 1 m/s, 2 s after they left.
+
+    Without a declared field of view they go where they stood before something that returns; elsewhere that only
+    informs. With it they go everywhere."""
     made = []
     for what, step in (("stood", 0.0), ("walked", SPEED * 0.5)):
-        before = blocked("all", hall, true, seed, rounds, step, model)
-        for fov, mark in ((None, 8.0), (FIELD, 1.0)):
-            then, now = blocked("ground", hall, true, seed, rounds, step, model, Limits(fov=fov))
-            on = f"hall, {model}" + (", field of view declared" if fov else "")
-            note = f"of {then:.0f} % in the last scan that saw them; {rounds * PEOPLE} people"
-            made.append(Row(on, f"a person who {what}: cells blocked 2 s later", "%", now, mark, before=before[1],
-                            note=note))  # fmt: skip
+        for on, backed, limits, mark in (
+            ("before walls", True, Limits(), 8.0),
+            ("anywhere", False, Limits(), None),
+            ("anywhere, field of view declared", False, Limits(fov=FIELD), 1.0),
+        ):
+            case = Case(step, backed, seed, rounds)
+            before = blocked("all", hall, true, case, model, Limits())[1]
+            then, after, number = blocked("ground", hall, true, case, model, limits)
+            note = f"of {then:.0f} % in the last scan that saw them; {number} people"
+            figure = f"a person who {what}: cells blocked 2 s later"
+            made.append(Row(f"hall, {model}, {on}", figure, "%", after, mark, before=before, note=note))
     return made
