@@ -9,13 +9,13 @@ from confidence_scene import POSES, scene
 
 from roughmap.points.footprint import ERROR_MODELS
 
-TILES = 400
+TILES = 200
 
 OFF = 0.03
 """What is allowed of the statement itself."""
 
-CHANCE = 0.04
-"""Cells of a tile share its poses' errors, so that 400 tiles tell a share to 0.02 or so; two strata of a hundred may be
+CHANCE = 0.06
+"""Cells of a tile share its poses' errors, so that 200 tiles tell a share to 0.03 or so; two strata of a hundred may be
 off by twice that."""
 
 
@@ -43,10 +43,11 @@ def test_stated_intervals_hold(poses: str, ground: str) -> None:
 
 
 def test_two_robots_at_once_are_believed_too_little_not_too_much() -> None:
-    """A cell does not know whose pose its last point had: it takes errors of two robots for one and the same."""
+    """A cell does not know whose pose its last point had: it takes errors of two robots for one and the same. Of many
+    cells, a stated half then holds for two thirds."""
     truth = scene(2, "smooth", "two robots at once", TILES)
     for row in rows_of(truth, mapped(truth, "cuboid"), ("cuboid", "two robots at once", "smooth")):
-        assert -OFF - CHANCE <= row.covered - row.stated <= 0.2, row
+        assert -OFF - CHANCE <= row.covered - row.stated <= 0.16 + CHANCE, row
 
 
 def test_the_paper_s_confidence_does_not_hold() -> None:

@@ -160,3 +160,26 @@ def test_many_points_on_several_threads(model: str, threads: int) -> None:
         oracle.add(cloud.points, cloud.covariance, cloud.stamp_ns, **given_)
         assert m._space.parts(recipe.number) == threads
         check(m, oracle)
+
+
+@pytest.mark.parametrize("model", ERROR_MODELS)
+@pytest.mark.parametrize("drop", [1.9, 2.1])
+def test_a_ground_that_has_crept_up(model: str, drop: float) -> None:
+    """The bins stay where they were, so that hits in them may lie more than 2 m below: three are enough there."""
+    m = RoughMap(threads=1, surface="ground", error_model=model)
+    oracle = GroundOracle(m.settings)
+
+    def add(h: float) -> float:
+        points, S = np.array([(0.05, 0.05, h)]), np.eye(3) * 1e-4
+        m.add(points, S)
+        oracle.add(points, S)
+        return oracle.cells[0, 0].mean
+
+    mean = add(10.0)
+    add(11.0)
+    while mean < 11.05:
+        mean = add(mean + 0.149)
+    for _ in range(3):
+        add(mean - drop)
+    assert (oracle.cells[0, 0].count == 1) == (drop > 2.0)
+    check(m, oracle)
