@@ -66,7 +66,7 @@ class RoughMap:
         threads: int | None = None,
         *,
         max_vertical_sigma: float = 0.5,
-        surface: str = "all",
+        surface: str = "ground",
         shelf: Shelf | None = None,
     ) -> None:
         self.settings = MapSettings(

@@ -42,7 +42,7 @@ class MapSettings:
     max_vertical_sigma: float
     bounds: Sequence[float] | None
     levels: int
-    surface: str = "all"
+    surface: str = "ground"
 
     def __post_init__(self) -> None:
         for name in ("cell_size", "coverage", "min_radius", "min_distance", "max_horizontal_radius"):

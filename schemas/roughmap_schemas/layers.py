@@ -5,7 +5,7 @@ from typing import Final, Literal
 Surface = Literal["ground", "all"]
 """What the cells of a map hold: the points of the ground alone, or all points."""
 
-DEFAULT_SURFACE: Final[Surface] = "all"
+DEFAULT_SURFACE: Final[Surface] = "ground"
 
 LAYERS = (
     "mean_height",
