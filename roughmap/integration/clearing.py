@@ -96,7 +96,8 @@ def with_columns(table: TileTable, entries: I4) -> I4:
     slots = table.slot[entries]
     if (slots < 0).any():
         raise ValueError("expected tiles in memory, found one on the shelf")
-    return entries[table.pool.column_address[slots] != 0]
+    based: I4 = entries[table.pool.column_address[slots] != 0]
+    return based
 
 
 def clear(sight: Sight, table: TileTable, a: float, space: Workspace, sequence: int) -> tuple[int, I4]:

@@ -20,6 +20,9 @@ from pathlib import Path
 REPOSITORY = Path(__file__).resolve().parents[2]
 PROGRAM = REPOSITORY / "tests/core/digest_program.py"
 FOLDER = Path(os.environ.get("ROUGHMAP_ARM", "/var/lib/roughmap-arm"))
+TIMEOUT = 7200
+"""Seconds for one CPU. Compiling takes 5 to 10 minutes on an idle machine."""
+
 NEEDED = ("llvmlite", "numba", "numpy", "xxhash")
 
 
@@ -69,7 +72,7 @@ def on_arm(cpu: str) -> dict[str, object]:
 
 def said(command: list[str], environment: dict[str, str]) -> dict[str, object]:
     """Run a command and return the JSON that it prints."""
-    made = subprocess.run(command, env=environment, stdout=subprocess.PIPE, check=True, timeout=7200)
+    made = subprocess.run(command, env=environment, stdout=subprocess.PIPE, check=True, timeout=TIMEOUT)
     found: dict[str, object] = json.loads(made.stdout)
     return found
 

@@ -39,7 +39,7 @@ def scan_and_way() -> tuple[Scan, Trajectory]:
     return scan, Trajectory(stamps, position, rotation, covariance)
 
 
-def digests() -> dict[str, str]:
+def digests(numbers_of_threads: tuple[int, ...] = (1, 2)) -> dict[str, str]:
     """Return digests by error model, method and number of threads."""
     found = {}
     scan, way = scan_and_way()
@@ -57,7 +57,7 @@ def digests() -> dict[str, str]:
     for m in range(3):
         S += lower[:, :, None, m] * lower[:, None, :, m]
     for model in ("point", "cuboid", "ellipsoid"):
-        for threads in (1, 2):
+        for threads in numbers_of_threads:
             with RoughMap(error_model=model, threads=threads) as m:
                 m.add_scan(scan, way, noise, rules)
                 m.add_scan(still, way, noise, rules)

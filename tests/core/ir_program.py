@@ -53,17 +53,19 @@ def kernels() -> dict[str, Dispatcher]:
 
 def exercise() -> None:
     """Make maps of every model, then call the kernels that no digest needs."""
-    digest_program.digests()
+    digest_program.digests((2,))
     georeference(*digest_program.scan_and_way(), digest_program.Noise(0.02))
     rehash(np.empty(2, np.int32), np.zeros(1, np.uint64), 0)
     erf(np.zeros(1))
-    with RoughMap(error_model="point") as m:
-        m.add([[0.05, 0.05, 1.0], [3.05, 3.05, 2.0]])
+    corner = np.array([[0.05, 0.05, 1.0], [0.05, 0.05, 2.0], [3.05, 3.05, 2.0]])
+    with RoughMap(error_model="point", surface="ground") as m:
+        m.add(corner)
         with m.freeze() as frozen:
             known_bits(frozen.records(0, 0))
-            m.add([[0.05, 0.05, 1.0]])  # on a copy of the tile
+            m.add(corner)  # on a copy of the tile
         for level in (0, 2):
             m.region((-1.0, -1.0, 4.0, 4.0), list(LAYERS), level=level)
+        m.forget([(0, 0)])
     pool, dense = SlotPool(), np.ones(1, np.bool_)
     pool.release(pool.allocate(1, dense))
     pool.allocate(1, dense)  # the same slot again, cleared
