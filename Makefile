@@ -6,7 +6,7 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-random test-recordings check audit bench bench-against bench-peers faults walks fuzz soak overload schemas lock image container-test clean
+.PHONY: help setup demo test test-random test-recordings check audit bench bench-against bench-peers faults walks fuzz soak overload arm-test schemas lock image container-test clean
 
 help:  ## show this list
 	@echo "make TARGET, where TARGET is:"
@@ -72,6 +72,9 @@ soak: $(READY)  ## run a fleet for an hour and check that memory and disk stay f
 
 overload: $(READY)  ## send twice the load that can be integrated, for 10 minutes; ARGS="--minutes 3"
 	$(BIN)/python tests/soak/overload.py $(ARGS)
+
+arm-test: $(READY)  ## compare maps made on 64-bit ARM, by emulation, with those made here; ARGS="--cpu cortex-a72"
+	$(BIN)/python tests/arm/run.py $(ARGS)
 
 schemas: $(READY)  ## export schemas/json from the models
 	$(BIN)/python -m roughmap_schemas.export

@@ -1,4 +1,4 @@
-"""What LLVM can do and numba does not expose: pointers from addresses, prefetch, calls that stay calls."""
+"""What LLVM can do and numba does not expose: pointers from addresses, prefetch, zero bits, calls that stay calls."""
 
 from typing import Any
 
@@ -37,6 +37,18 @@ def _prefetch(typingctx: Any, address: Any) -> Any:  # noqa: ARG001 - numba's ca
 
 
 prefetch: Any = intrinsic(_prefetch)
+
+
+def _trailing_zeros(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - numba's calling convention
+    """Count the zero bits below the lowest set bit of a word; the word must not be 0."""
+
+    def codegen(_context: Any, builder: ir.IRBuilder, _sig: Any, args: Any) -> Any:
+        return builder.cttz(args[0], ir.IntType(1)(1))
+
+    return types.uint64(types.uint64), codegen
+
+
+trailing_zeros: Any = intrinsic(_trailing_zeros)
 
 
 def _never_inline(typingctx: Any) -> Any:  # noqa: ARG001 - numba's calling convention

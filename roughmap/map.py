@@ -183,17 +183,20 @@ class RoughMap:
         noise: Noise,
         limits: Limits | None = None,
         *,
+        clear: bool = False,
         max_new_tiles: int | None = None,
         max_tiles: int | None = None,
     ) -> AddReport:
         """Place a scan (eq. 1) and add its points. The result equals `georeference` followed by `add`, to the bit.
 
-        The points are processed in blocks, without an array of all covariances. ``max_new_tiles``, ``max_tiles``: as in
-        `add`.
+        The points are processed in blocks, without an array of all covariances. ``clear``: then halve the hits above
+        and below the ground, near the sensor, that the scan saw through; in a map of the ground only, and not more
+        often than the scene changes. ``max_new_tiles``, ``max_tiles``: as in `add`.
         """
-        return self.integrate(
-            self.prepare_scan(scan, trajectory, noise, limits, max_new_tiles=max_new_tiles, max_tiles=max_tiles)
+        prepared = self.prepare_scan(
+            scan, trajectory, noise, limits, clear=clear, max_new_tiles=max_new_tiles, max_tiles=max_tiles
         )
+        return self.integrate(prepared)
 
     def prepare_points(
         self,
@@ -227,12 +230,13 @@ class RoughMap:
         noise: Noise,
         limits: Limits | None = None,
         *,
+        clear: bool = False,
         max_new_tiles: int | None = None,
         max_tiles: int | None = None,
         reader_lock: ReaderLock = nullcontext,
     ) -> Prepared:
         """Do the same for an `add_scan`."""
-        given = scan_points(scan, trajectory, noise, limits or Limits(), False, self.settings, self._space)
+        given = scan_points(scan, trajectory, noise, limits or Limits(), clear, self.settings, self._space)
         return self._prepare(given, max_new_tiles, max_tiles, reader_lock)
 
     def _prepare(
@@ -252,10 +256,10 @@ class RoughMap:
             return AddReport(0, prepared.rejected)
         if prepared.version != (*self._version, self._space.uses):
             raise ValueError("expected the points prepared last, for the map as it is now")
-        newest_ns = phase_two(work, self.sequence + 1, self._table, self.settings, self._space)
+        newest_ns, cleared, changed = phase_two(work, self.sequence + 1, self._table, self.settings, self._space)
         self.sequence += 1
         self.newest_updated = max(self.newest_updated, newest_ns // _SECOND_NS)
-        return AddReport(prepared.accepted, prepared.rejected, work.changed)
+        return AddReport(prepared.accepted, prepared.rejected, changed, cleared)
 
     @property
     def _version(self) -> tuple[int, int]:

@@ -4,5 +4,6 @@ phases.py        both phases; start here
 geometry.py      phase one: the points of a call, checked
 blocks.py        phase one: kernels that go over blocks of points, up to their tiles
 tile_update.py   phase two: the cells of each tile, in the order of the points; cell_update.py: one cell
+clearing.py      what a scan saw through is no longer there: range_image.py, from view.py
 workspace.py     memory that is reused from scan to scan, and the threads
 """

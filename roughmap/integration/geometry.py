@@ -9,6 +9,7 @@ import numpy.typing as npt
 from roughmap.arrays import F8, I8, Flags
 from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS, PointReason
 from roughmap.integration.blocks import BlockState, point_blocks, scan_blocks
+from roughmap.integration.clearing import Look
 from roughmap.integration.workspace import Block, Planes, TouchedTiles, Workspace
 from roughmap.points.checks import (
     checked_covariances,
@@ -30,7 +31,7 @@ Geometry = Callable[[int, int, Block, TouchedTiles, BlockState], tuple[int, Bloc
 
 class PointInput(NamedTuple):
     """A call's points: the array itself, their planes, their stamps ((1,) for all, or (N,)), and their geometry; the
-    seconds over which the errors of their poses stay alike."""
+    seconds over which the errors of their poses stay alike; the scan, if it clears."""
 
     points: npt.NDArray[np.floating]
     """Kept here because ``geometry`` reads the array by address."""
@@ -38,6 +39,7 @@ class PointInput(NamedTuple):
     stamps: I8
     geometry: Geometry
     pose_error_time: float
+    look: Look | None = None
 
 
 class Shared(NamedTuple):
@@ -103,6 +105,7 @@ def scan_points(
     number = len(scan.points)
     offsets = scan.times
     stamps = scan.stamp_ns + (np.zeros(1, np.int64) if scan.offsets_ns is None else offsets)
+    clear = clear and settings.ground_only  # nothing else has columns
     path, gap, returns = trajectory.arrays, limits.max_gap_ns, scan_rules(scan, noise, limits)
     posed, pose = pose_at(path, gap, scan.stamp_ns)
     planes = space.planes(number)
@@ -114,4 +117,5 @@ def scan_points(
             gap, posed, pose, returns, rules, clear, tiles.arrays, state,
         )  # fmt: skip
 
-    return PointInput(scan.points, planes, stamps, place, noise.pose_error_time)
+    look = Look(scan, trajectory, limits) if clear else None
+    return PointInput(scan.points, planes, stamps, place, noise.pose_error_time, look)

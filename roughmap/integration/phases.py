@@ -11,6 +11,7 @@ import numpy as np
 
 from roughmap.arrays import I4, I8, U1, U8
 from roughmap.cell import REASON_NAMES, TILE_CELLS, TooManyTiles
+from roughmap.integration.clearing import Sight, clear, prepare_clearing, with_columns
 from roughmap.integration.drains import TILE_WORDS
 from roughmap.integration.geometry import Geometry, PointInput
 from roughmap.integration.tile_update import collect_odd, update_tiles
@@ -32,8 +33,8 @@ class AddReport:
     """The result of adding points.
 
     ``accepted``: number of points used. ``rejected``: {reason: number of points}, without zeros. ``tiles``: (T, 2)
-    int32, the level-0 tiles that the points touched, ascending by (x, y). ``cleared``: number of hits above the ground
-    that the scan saw through.
+    int32, the level-0 tiles that the points touched or that were cleared, ascending by (x, y). ``cleared``: number of
+    height bins whose hits were halved, because the scan saw through them.
     """
 
     accepted: int
@@ -49,7 +50,8 @@ class Work(NamedTuple):
     where the ranges of points begin and end. ``rows`` (Q, R): see `_merge_ranges`. For each tile of the merged table,
     ``tx``, ``ty`` (T,): its numbers; ``entries`` (T,): its entry in the map's table, or -1; ``owner`` (T,): the part
     that updates it; ``bits`` (T, 64): room for its changed cells. ``there``: the rows of tiles that exist, or will
-    because a point in them can be ground. ``changed`` (U, 2): these tiles, ascending.
+    because a point in them can be ground. ``changed`` (U, 2): these tiles, ascending. ``sight``: what the scan saw, if
+    it clears.
     """
 
     planes: Planes
@@ -65,6 +67,7 @@ class Work(NamedTuple):
     changed: I4
     owner: U1
     bits: U8
+    sight: Sight | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +180,12 @@ def phase_one(
     if not accepted:
         return Prepared(0, rejected)
     work = _work(points, parts, edges, table, ranges, max_new_tiles, max_tiles)
-    table.bring_back(work.entries[work.entries >= 0], reader_lock)
+    needed = work.entries[work.entries >= 0]
+    if points.look is not None:
+        sight = prepare_clearing(points.look, planes, table, settings.cell_size, space)
+        needed = np.union1d(needed, sight.entries)
+        work = work._replace(sight=sight)
+    table.bring_back(needed, reader_lock)
     return Prepared(accepted, rejected, work, (*version, space.uses))
 
 
@@ -226,8 +234,13 @@ def _work(
     )  # fmt: skip
 
 
-def phase_two(work: Work, sequence: int, table: TileTable, settings: MapSettings, space: Workspace) -> int:
-    """Update the tiles with the points, as ``sequence``; return the newest stamp in these tiles (0 if none), in ns.
+def phase_two(
+    work: Work, sequence: int, table: TileTable, settings: MapSettings, space: Workspace
+) -> tuple[int, int, I4]:
+    """Update the tiles with the points, as ``sequence``, and clear what they show to be gone.
+
+    Returns the newest stamp in the tiles with points (0 if none), in ns; the number of hits cleared; and the (T, 2)
+    tiles that changed, ascending.
 
     A MemoryError comes before anything has changed.
     """
@@ -238,6 +251,8 @@ def phase_two(work: Work, sequence: int, table: TileTable, settings: MapSettings
     known = work.entries[there] >= 0
     tx, ty, dense = work.tx[there], work.ty[there], tiles.work[there] >= _DENSE_POINTS
     # All memory is allocated before the first cell is written, so that a failure changes nothing.
+    if work.sight is not None:
+        table.make_writable(with_columns(table, work.sight.entries))
     entries, lent = table.open(work.entries[there], tx, ty, dense, columns=settings.ground_only)
     slots = table.slot[entries]
     table.used[entries] = sequence
@@ -280,4 +295,8 @@ def phase_two(work: Work, sequence: int, table: TileTable, settings: MapSettings
     table.oldest_ns[entries] = oldest[there]
     table.newest_ns[entries] = newest[there]
     table.mark_changed(entries, tx, ty, work.bits[there], sequence)
-    return int(newest.max(initial=0))
+    newest_ns = int(newest.max(initial=0))
+    if work.sight is None:
+        return newest_ns, 0, work.changed
+    cleared, where = clear(work.sight, table, settings.cell_size, space, sequence)
+    return newest_ns, cleared, np.unique(np.concatenate([work.changed, where]), axis=0)

@@ -10,6 +10,7 @@ import numpy as np
 from roughmap.arrays import F4, F8, I4, I8, U1, U2, U8
 from roughmap.cell import PointReason
 from roughmap.integration.drains import QUEUE, RUN
+from roughmap.integration.range_image import new_image
 from roughmap.points.moving import MovingScratch, moving_scratch
 from roughmap.points.place import BLOCK, PLANES, STRIDE
 from roughmap.tiles.index import rehash
@@ -183,13 +184,15 @@ class ThreadScratch:
 class Workspace:
     """Planes, scratch and threads of one map. ``side``: largest number of cells along an axis in a footprint.
 
-    ``uses``: number of calls to `planes`; each call overwrites what the previous one returned.
+    ``uses``: number of calls to `planes`; each call overwrites what the previous one returned. ``image``: that of the
+    scan in work.
     """
 
     def __init__(self, threads: int, side: int) -> None:
         self.threads = threads
         self.side = side
         self.uses = 0
+        self.image = new_image()
         self._planes = _planes(0)
         self._scratch = [ThreadScratch(side)]
         self._tiles = [TouchedTiles()]

@@ -21,6 +21,9 @@ from roughmap.points.rotations import matrix_of, unit_quaternions
 
 Six = tuple[float, float, float, float, float, float]
 
+Fov = tuple[float, float, float, float]
+"""A field of view, degrees up, down, left and right of the sensor's x axis."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scan:
@@ -95,6 +98,10 @@ class Limits:
     at most ``ceiling`` + ``ceiling_slope`` times the horizontal distance. The poses before and after the point must be
     at most ``max_pose_gap`` seconds apart. The point must lie outside every box of ``exclude``: closed boxes xmin,
     ymin, zmin, xmax, ymax, zmax in the robot's frame.
+
+    ``fov`` rejects nothing: where a sensor with this field of view has no return, nothing stands in its way
+    (`RoughMap.add_scan` with ``clear``). Degrees up and down in [0, 90], left and right in [0, 180], about the sensor's
+    x axis. None: no return says nothing.
     """
 
     min_range: float = 0.0
@@ -103,6 +110,7 @@ class Limits:
     ceiling_slope: float = 0.0
     max_pose_gap: float = math.inf
     exclude: Sequence[Six] = ()
+    fov: Fov | None = None
     boxes: F8 = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -116,6 +124,11 @@ class Limits:
         if (boxes[:, :3] > boxes[:, 3:]).any():
             raise ValueError("Limits.exclude: expected boxes xmin, ymin, zmin, xmax, ymax, zmax with min <= max")
         object.__setattr__(self, "boxes", boxes)
+        if self.fov is not None:
+            fov = checked_floats(self.fov, (4,), "Limits.fov")
+            if (fov < 0.0).any() or (fov > (90.0, 90.0, 180.0, 180.0)).any():
+                raise ValueError("Limits.fov: expected degrees up, down in [0, 90] and left, right in [0, 180]")
+            object.__setattr__(self, "fov", tuple(fov.tolist()))
 
     @property
     def squares(self) -> tuple[float, float]:

@@ -1,11 +1,19 @@
-"""Digests of maps that exercise every step from point to cell; also run as a program, under other instruction sets."""
+"""Digests of maps that exercise every step from point to cell; also run as a program, under other instruction sets.
+
+python tests/core/digest_program.py --keep     after a change of what cells hold: rewrite digests.json
+"""
 
 import json
+import sys
+from pathlib import Path
 
 import numpy as np
 from numba.core.registry import cpu_target
 
 from roughmap import Limits, Noise, RoughMap, Scan, Trajectory
+
+KEPT = Path(__file__).with_name("digests.json")
+"""The digests on every machine, by error model and method."""
 
 NUMBER = 6_000
 """Enough for two threads, which need about 2,000 points each."""
@@ -31,13 +39,14 @@ def scan_and_way() -> tuple[Scan, Trajectory]:
     return scan, Trajectory(stamps, position, rotation, covariance)
 
 
-def digests() -> dict[str, str]:
+def digests(numbers_of_threads: tuple[int, ...] = (1, 2)) -> dict[str, str]:
     """Return digests by error model, method and number of threads."""
     found = {}
     scan, way = scan_and_way()
     still = Scan(scan.points.astype(np.float32), scan.stamp_ns, None, scan.translation, scan.rotation)
     noise = Noise(0.02, 0.0013, 0.0017, (0.01, 0.012, 0.009, 0.001, 0.0014, 0.002))
     rules = Limits(min_range=0.7, max_range=9.0, ceiling=0.8, ceiling_slope=0.05)
+    seen = Limits(min_range=0.7, fov=(40.0, 50.0, 120.0, 90.0))
     # Bodies of all directions and thicknesses, some so thin that eigenvalues are raised.
     n = np.arange(NUMBER)
     lower = np.zeros((NUMBER, 3, 3))
@@ -48,17 +57,32 @@ def digests() -> dict[str, str]:
     for m in range(3):
         S += lower[:, :, None, m] * lower[:, None, :, m]
     for model in ("point", "cuboid", "ellipsoid"):
-        for threads in (1, 2):
+        for threads in numbers_of_threads:
             with RoughMap(error_model=model, threads=threads) as m:
                 m.add_scan(scan, way, noise, rules)
                 m.add_scan(still, way, noise, rules)
                 found[f"{model}, scans, {threads}"] = m.digest()
+            with RoughMap(error_model=model, threads=threads, surface="ground") as m:
+                for again in range(3):
+                    m.add_scan(scan, way, noise, rules)
+                    m.add(scan.points * (0.9, 0.9, 0.1 * again) + way.position[0], S, scan.stamp_ns, common=1e-4)
+                    m.add_scan(still, way, noise, seen, clear=True)
+                found[f"{model}, ground, {threads}"] = m.digest()
             with RoughMap(error_model=model, threads=threads) as m:
                 m.add(scan.points, S, scan.stamp_ns)
                 found[f"{model}, points, {threads}"] = m.digest()
     return found
 
 
-if __name__ == "__main__":
+def main() -> None:
+    found = digests()
+    if sys.argv[1:] == ["--keep"]:
+        alone = {name[: -len(", 1")]: digest for name, digest in found.items() if name.endswith(", 1")}
+        KEPT.write_text(json.dumps(alone, indent=2) + "\n")
+        return
     _, cpu, features = cpu_target.target_context.codegen().magic_tuple()
-    print(json.dumps({"cpu": cpu, "features": features, "digests": digests()}))
+    print(json.dumps({"cpu": cpu, "features": features, "digests": found}))
+
+
+if __name__ == "__main__":
+    main()

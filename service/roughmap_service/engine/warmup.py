@@ -11,6 +11,7 @@ from roughmap.tiles.slots import SlotPool
 from roughmap_schemas import Config, contract_timed, decode_cloud, encode_cloud
 from roughmap_service.host.log_lines import note
 from roughmap_service.run.placing import place_cloud
+from roughmap_service.run.pose_algebra import angle_between
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.settings import Settings, new_map
 
@@ -48,6 +49,7 @@ def _run(config: Config, stop: threading.Event) -> None:
     line = [Pose(k * 10**9, (0.0, 0.0, 0.0), UNTURNED, None, 1, 0) for k in (0, 1)]
     points = np.tile([[3.0, 0.0, -0.3], [0.0, 3.0, -0.5], [-3.0, 1.0, -0.4]], (1400, 1))  # work for two threads
     points += np.linspace(0.0, 1e-3, len(points))[:, None]  # equal ones would be rejected
+    angle_between(UNTURNED, UNTURNED)  # how far a pose turned
     rehash(np.empty(2, np.int32), np.zeros(1, np.uint64), 0)  # the index of tiles grows
     with new_map(config) as rough_map:
         for robot, frame in [("", settings.frame_id), *sensors[:1]]:

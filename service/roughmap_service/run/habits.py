@@ -3,7 +3,6 @@
 Doctor judges what it heard by these, and the service what it keeps. They decide nothing.
 """
 
-import math
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -11,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roughmap_service.run.leaps import motion_before
+from roughmap_service.run.pose_algebra import distance
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.settings import NS
 
@@ -96,14 +96,11 @@ def find_jitter(rows: Sequence[Sequence[Pose]]) -> Jitter | None:
         for at, pose in enumerate(row):
             if pose.leapt or (before := motion_before(row, at)) is None:
                 continue
-            speeds.append(math.hypot(*before.velocity))
+            speeds.append(distance((0.0, 0.0, 0.0), before.velocity))
             seconds = (pose.stamp_ns - row[at - 1].stamp_ns) * 1e-9
-            moved = math.hypot(
-                *(
-                    q - p - v * seconds
-                    for p, q, v in zip(row[at - 1].position, pose.position, before.velocity, strict=True)
-                )
-            )
+            last = row[at - 1].position
+            led = [p + v * seconds for p, v in zip(last, before.velocity, strict=True)]
+            moved = distance(led, pose.position)
             off.append((moved, moved / seconds))
     if not off:
         return None

@@ -1,12 +1,11 @@
 """Leaps: poses that no motion explains, such as the corrections of a localisation."""
 
-import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from roughmap_schemas.geometry import Quaternion, Vector
-from roughmap_service.run.pose_algebra import multiply
+from roughmap_schemas.geometry import Vector
+from roughmap_service.run.pose_algebra import distance, rotation_vector
 from roughmap_service.run.poses import Pose
 
 MOTION_NS = 100_000_000
@@ -53,15 +52,15 @@ def find_leap(
         return None
     last, pose = poses[at - 1], poses[at]
     seconds = (pose.stamp_ns - last.stamp_ns) * 1e-9
-    step = math.dist(pose.position, last.position)
+    step = distance(pose.position, last.position)
     motion = motion_before(poses, at)
     if motion is None:
         leapt = step > max_leap and step > max_speed * seconds
         return Leap(step, 0.0, seconds) if leapt else None
     expected = [p + v * seconds for p, v in zip(last.position, motion.velocity, strict=True)]
-    metres = math.dist(pose.position, expected)
-    turned = _turn(last.rotation, pose.rotation)
-    radians = math.dist(turned, [w * seconds for w in motion.turn])
+    metres = distance(pose.position, expected)
+    turned = rotation_vector(last.rotation, pose.rotation)
+    radians = distance(turned, [w * seconds for w in motion.turn])
     squared = seconds * seconds / 2.0
     if (
         metres > max_leap + max_acceleration * squared
@@ -85,7 +84,7 @@ def motion_before(poses: Sequence[Pose], at: int) -> Motion | None:
             seconds = span * 1e-9
             a, b = poses[start], poses[end]
             x, y, z = ((q - p) / seconds for p, q in zip(a.position, b.position, strict=True))
-            u, v, w = (t / seconds for t in _turn(a.rotation, b.rotation))
+            u, v, w = (t / seconds for t in rotation_vector(a.rotation, b.rotation))
             return Motion((x, y, z), (u, v, w))
         end = start - 1  # before the leap
     return None
@@ -93,13 +92,3 @@ def motion_before(poses: Sequence[Pose], at: int) -> Motion | None:
 
 def _stamp(pose: Pose) -> int:
     return pose.stamp_ns
-
-
-def _turn(a: Quaternion, b: Quaternion) -> Vector:
-    """The shorter turn from a to b as a rotation vector in the parent frame's axes."""
-    x, y, z, w = multiply(b, (-a[0], -a[1], -a[2], a[3]))
-    sine = math.sqrt(x * x + y * y + z * z)
-    if sine == 0.0:
-        return 0.0, 0.0, 0.0
-    factor = 2.0 * math.atan2(sine, abs(w)) / sine * (1.0 if w >= 0.0 else -1.0)
-    return x * factor, y * factor, z * factor

@@ -1,4 +1,7 @@
-"""Rotations of a few poses, in plain IEEE floats: with BLAS the last bit could depend on the machine."""
+"""Rotations and distances of a few poses, in plain IEEE floats, so that what is decided by them is the same anywhere.
+
+With BLAS, and with functions of the C library other than `sqrt`, the last bit could depend on the machine.
+"""
 
 import math
 from collections.abc import Sequence
@@ -6,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from roughmap.points.poly import angle
 from roughmap_schemas.geometry import Matrix, Quaternion, Vector
 
 Floats = npt.NDArray[np.float64]
@@ -41,11 +45,29 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
     return x / n, y / n, z / n, w / n
 
 
+def distance(a: Sequence[float], b: Sequence[float]) -> float:
+    """Distance of two points; infinite from 1e154 on, whose square overflows."""
+    total = 0.0
+    for p, q in zip(a, b, strict=True):
+        total += (q - p) * (q - p)
+    return math.sqrt(total)
+
+
 def angle_between(a: Quaternion, b: Quaternion) -> float:
     """Angle in radians of the shorter turn from a to b."""
-    near = math.dist(a, b)
-    far = math.dist(a, [-v for v in b])
-    return 4.0 * math.atan2(min(near, far), max(near, far))
+    near = distance(a, b)
+    far = distance(a, [-v for v in b])
+    return 4.0 * float(angle(max(near, far), min(near, far)))
+
+
+def rotation_vector(a: Quaternion, b: Quaternion) -> Vector:
+    """The shorter turn from a to b, its angle times its axis, in the parent frame's axes."""
+    x, y, z, w = multiply(b, (-a[0], -a[1], -a[2], a[3]))
+    sine = math.sqrt(x * x + y * y + z * z)
+    if sine == 0.0:
+        return 0.0, 0.0, 0.0
+    factor = 2.0 * float(angle(abs(w), sine)) / sine * (1.0 if w >= 0.0 else -1.0)
+    return x * factor, y * factor, z * factor
 
 
 def turn_covariance(r: Matrix, covariance: Floats) -> Floats:

@@ -69,7 +69,7 @@ class Settings:
         self.max_tiles = config.map.max_tiles
         self.pose_sigma = pose_sigma = np.minimum(np.array(inputs.pose_sigma, np.float64), LARGEST_SIGMA)
         placed_sigma = min(inputs.placed_sigma, LARGEST_SIGMA)
-        self.pose_covariance: npt.NDArray[np.float64] = np.diag(pose_sigma**2)
+        self.pose_covariance: npt.NDArray[np.float64] = np.diag(pose_sigma * pose_sigma)
         self.placed_covariance: npt.NDArray[np.float64] = np.eye(3) * (placed_sigma * placed_sigma)
         # A transform that moves by more than three sigmas of a pose is a correction, not drift.
         self.jump_m = 3.0 * max(inputs.pose_sigma[:3])

@@ -1,13 +1,12 @@
 """A robot's transforms to the map frame, for odometry that is given in another one."""
 
-import math
 from bisect import bisect_right, insort
 from dataclasses import dataclass, field
 from typing import Any
 
 from roughmap_schemas import Transform
 from roughmap_schemas.geometry import Quaternion, Vector
-from roughmap_service.run.pose_algebra import angle_between, quaternion, triple
+from roughmap_service.run.pose_algebra import angle_between, distance, quaternion, triple
 
 MAX_TRANSFORMS = 1_000
 """Transforms kept of a robot. One per frame is needed; the others serve odometry that arrives late."""
@@ -37,7 +36,7 @@ class Transforms:
         row = self.rows.setdefault(transform.child_frame_id, [])
         before = bisect_right(row, new.stamp_ns, key=_stamp)
         jumped = bool(before) and (
-            math.dist(row[before - 1].translation, new.translation) > jump_m
+            distance(row[before - 1].translation, new.translation) > jump_m
             or angle_between(row[before - 1].rotation, new.rotation) > jump_rad
         )
         insort(row, new, key=_stamp)
