@@ -1,4 +1,4 @@
-"""LLVM instructions that numba does not expose: pointers from addresses, prefetch, zero bits."""
+"""What LLVM can do and numba does not expose: pointers from addresses, prefetch, zero bits, calls that stay calls."""
 
 from typing import Any
 
@@ -49,3 +49,19 @@ def _trailing_zeros(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - numba's
 
 
 trailing_zeros: Any = intrinsic(_trailing_zeros)
+
+
+def _never_inline(typingctx: Any) -> Any:  # noqa: ARG001 - numba's calling convention
+    """Keep the function in which this stands out of its callers.
+
+    LLVM would copy even a large kernel into the loop that calls it, and the loop would lose its registers to it.
+    """
+
+    def codegen(context: Any, builder: ir.IRBuilder, *_: Any) -> Any:
+        builder.function.attributes.add("noinline")
+        return context.get_dummy_value()
+
+    return types.void(), codegen
+
+
+never_inline: Any = intrinsic(_never_inline)

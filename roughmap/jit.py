@@ -91,7 +91,8 @@ def kernel(function: F) -> F:
     Python's check for a zero divisor would keep loops from vectorising. ``fastmath`` stays off, so that the same source
     gives the same bits on every machine.
     """
-    return _compile(function)
+    # Explicitly: a kernel first called from an inlined helper would inherit its option.
+    return _compile(function, forceinline=False)
 
 
 def inline(function: F) -> F:

@@ -27,19 +27,24 @@ _MASK = TILE_CELLS - 1
 def _keep_heights(P: F8, part: Scalar, planes: Scalar, ground_only: Scalar) -> None:
     """Keep the heights of a block and what is known of their errors."""
     z, common, mount, up = planes.z[part], planes.common[part], planes.mount[part], planes.up[part]
-    looks_up = 1.0 if ground_only else 2.0
-    mounted = np.int64(0)
+    some, mounted = np.int64(0), np.int64(0)
     for n in range(BLOCK):
         z[n] = P[Z, n]
+    for n in range(BLOCK):
         common[n] = np.float32(counted_variance(P[COMMON, n]))
-        up[n] = np.uint8(1) if P[UP, n] == looks_up else np.uint8(0)
-        mounted |= np.int64(0) if P[MOUNT, n] <= 0.0 else np.int64(1)
+    for n in range(BLOCK):
+        some |= np.int64(P[UP, n] > 0.0)
+        mounted |= np.int64(not P[MOUNT, n] <= 0.0)
+    for n in range(BLOCK):
+        up[n] = np.uint8(0)
+    if some and ground_only:
+        for n in range(BLOCK):
+            up[n] = np.uint8(P[UP, n] > 0.0)
+    for n in range(BLOCK):
+        mount[n] = np.float32(0.0)
     if mounted:
         for n in range(BLOCK):
             mount[n] = np.float32(math.sqrt(counted_variance(P[MOUNT, n])))
-    else:
-        for n in range(BLOCK):
-            mount[n] = np.float32(0.0)
 
 
 @inline

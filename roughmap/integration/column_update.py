@@ -9,7 +9,7 @@ from roughmap.arrays import U8, Scalar
 from roughmap.cell import BASED, COLUMN_BINS, COLUMN_DTYPE, SUPPORTED
 from roughmap.integration.cell_update import update_cell
 from roughmap.integration.trust_update import TRUST_WORDS, update_trust
-from roughmap.intrinsics import pointer
+from roughmap.intrinsics import never_inline, pointer
 from roughmap.jit import inline, kernel
 from roughmap.tiles.slots import floats, words
 
@@ -116,6 +116,7 @@ def take_misfit(
     ``min_distance``: as in `update_cell`. ``ms``, ``common``, ``mount``, ``span``: as in `update_trust`. ``band``: see
     `MapSettings`. ``up``: the point can't be ground.
     """
+    never_inline()
     head, values, state = words(cell), floats(cell), words(column)
     mean = values[3]
     count = np.int64(head[0] & _LOW_HALF)

@@ -1,12 +1,14 @@
 """The queue of pending updates: cells and their trust, in the order of the points."""
 
 import numpy as np
+from numba.np.numpy_support import carray
 
-from roughmap.arrays import I8, Scalar
+from roughmap.arrays import I8, U8, Scalar
 from roughmap.cell import CELL_DTYPE, COLUMN_DTYPE
 from roughmap.integration.cell_update import update_cell
 from roughmap.integration.column_update import take_misfit
 from roughmap.integration.trust_update import alike_for, update_trust
+from roughmap.intrinsics import never_inline, pointer
 from roughmap.jit import inline, kernel
 from roughmap.points.footprint import POINT
 from roughmap.tiles.slots import floats, words
@@ -27,6 +29,10 @@ _CELL = np.uint64(CELL_DTYPE.itemsize)
 _COLUMN = np.uint64(COLUMN_DTYPE.itemsize)
 _UP = np.uint64(1)
 
+TILE_WORDS = 3
+_TILE = np.uint64(8 * TILE_WORDS)
+_CELLS, _COLUMNS, _BASED = np.uint64(0), np.uint64(1), np.uint64(2)
+
 
 @inline
 def _times(stamp: Scalar) -> Scalar:
@@ -43,6 +49,7 @@ def drain_all(
 
     A loop for each case: a test inside costs as much as a tenth of an update.
     """
+    never_inline()
     cell, weight, point, trust = queue
     z, q, common, mount = planes.z, planes.q, planes.common, planes.mount
     span = alike_for(pose_error_time)
@@ -85,15 +92,18 @@ def drain_ground(
     min_distance: float,
     pose_error_time: float,
     band: float,
-    tiles: Scalar,
+    tiles: U8,
 ) -> None:
     """Do the same for a map of the ground.
 
-    ``tiles``: by row, addresses of cells and of columns, and flags, set to 1 where a column is in use.
+    ``tiles`` (T, TILE_WORDS): for each row, the addresses of the cells and of the columns, and a word that is set to 1
+    when a column comes into use.
     """
+    never_inline()
     cell, weight, point, trust = queue
     z, q, common, mount = planes.z, planes.q, planes.common, planes.mount
     span = alike_for(pose_error_time)
+    table = np.uint64(tiles.ctypes.data)  # no array is passed on: each call would count references
     if len(stamps) > 1:
         for c in range(count):
             n = point[c] & _NUMBER
@@ -101,7 +111,7 @@ def drain_ground(
             second, ms = _times(stamps[n])
             _take(
                 cell[c], trust[c], weight[c], z[n], density, second, min_distance, common[n], mount[n], ms, span, band,
-                model == POINT, point[c], tiles,
+                model == POINT, point[c], table,
             )  # fmt: skip
         return
     second, ms = _times(stamps[0])
@@ -110,21 +120,21 @@ def drain_ground(
             n = point[c] & _NUMBER
             _take(
                 cell[c], trust[c], 1.0, z[n], 1.0, second, min_distance, common[n], mount[n], ms, span, band, True,
-                point[c], tiles,
+                point[c], table,
             )  # fmt: skip
         return
     for c in range(count):
         n = point[c] & _NUMBER
         _take(
             cell[c], trust[c], weight[c], z[n], q[n], second, min_distance, common[n], mount[n], ms, span, band, False,
-            point[c], tiles,
+            point[c], table,
         )  # fmt: skip
 
 
 @inline
 def _take(
     word: Scalar, trust: Scalar, weight: Scalar, h: Scalar, q: Scalar, second: Scalar, min_distance: Scalar,
-    common: Scalar, mount: Scalar, ms: Scalar, span: Scalar, band: Scalar, alone: Scalar, point: Scalar, tiles: Scalar,
+    common: Scalar, mount: Scalar, ms: Scalar, span: Scalar, band: Scalar, alone: Scalar, point: Scalar, table: Scalar,
 ) -> None:  # fmt: skip
     """Apply one update. ``alone``: the point has no other cell."""
     up = word & _UP
@@ -133,13 +143,10 @@ def _take(
     known = np.uint32(words(address)[0]) != 0
     if (up != 0) | (known & (abs(h - floats(address)[3]) > band)):
         if known & (alone | (weight < 0.0)):
-            cells, columns, based = tiles
-            row = point >> ROW
-            based[row] = 1
-            column = columns[row] + (address - cells[row]) // _CELL * _COLUMN
-            take_misfit(
-                address, trust, column, h, w, q, second, ms, min_distance, band, common, mount, span, up != 0
-            )  # fmt: skip
+            tile = carray(pointer(table + (point >> ROW) * _TILE, np.uint64(0)), (TILE_WORDS,))
+            tile[_BASED] = 1
+            column = tile[_COLUMNS] + (address - tile[_CELLS]) // _CELL * _COLUMN
+            take_misfit(address, trust, column, h, w, q, second, ms, min_distance, band, common, mount, span, up != 0)
         return
     g = update_cell(words(address), floats(address), h, w, q, second, min_distance)
     update_trust(trust, g, common, mount, ms, span)

@@ -12,6 +12,7 @@ import numpy as np
 from roughmap.arrays import I4, I8, U1, U8
 from roughmap.cell import REASON_NAMES, TILE_CELLS, TooManyTiles
 from roughmap.integration.clearing import Sight, clear, prepare_clearing, with_columns
+from roughmap.integration.drains import TILE_WORDS
 from roughmap.integration.geometry import Geometry, PointInput
 from roughmap.integration.tile_update import collect_odd, update_tiles
 from roughmap.integration.workspace import Planes, ThreadScratch, TouchedTiles, Workspace, blocks_of
@@ -259,10 +260,10 @@ def phase_two(
     # By row; nothing is read of rows without a tile.
     oldest, newest = np.full(number, _NEVER_NS.max), np.full(number, _NEVER_NS.min)
     oldest[there[known]], newest[there[known]] = table.oldest_ns[entries[known]], table.newest_ns[entries[known]]
-    begun, based = np.zeros((2, number), np.uint8)
+    begun = np.zeros(number, np.uint8)
     begun[there] = known
-    cells, columns = np.zeros((2, number), np.uint64)
-    cells[there], columns[there] = table.pool.address[slots], table.pool.column_address[slots]
+    where = np.zeros((number, TILE_WORDS), np.uint64)
+    where[there, 0], where[there, 1] = table.pool.address[slots], table.pool.column_address[slots]
     ends = np.array([touched.runs for touched in ranges])
     measures = settings.min_distance, settings.band, float(work.pose_error_time)
 
@@ -279,7 +280,7 @@ def phase_two(
             work.rows,
             tiles.table,
             tiles.keys[: tiles.number],
-            (cells, columns, based),
+            where,
             begun,
             work.bits,
             oldest,
@@ -290,7 +291,7 @@ def phase_two(
         )
 
     space.run(work.parts, update)
-    table.pool.drop_columns(np.setdiff1d(lent, slots[based[there] != 0]))
+    table.pool.drop_columns(np.setdiff1d(lent, slots[where[there, 2] != 0]))
     table.oldest_ns[entries] = oldest[there]
     table.newest_ns[entries] = newest[there]
     table.mark_changed(entries, tx, ty, work.bits[there], sequence)

@@ -229,7 +229,7 @@ def _enqueue_run(
 
 @inline
 def _drain(
-    queue: Scalar, count: Scalar, planes: Scalar, stamps: I8, rules: Scalar, measures: Scalar, tiles: Scalar
+    queue: Scalar, count: Scalar, planes: Scalar, stamps: I8, rules: Scalar, measures: Scalar, tiles: U8
 ) -> None:
     min_distance, band, pose_error_time = measures
     if rules[6]:
@@ -259,7 +259,7 @@ def update_tiles(
     rows: I4,
     table: I4,
     keys: U8,
-    tiles: Scalar,
+    tiles: U8,
     begun: U1,
     bits: U8,
     oldest: I8,
@@ -277,7 +277,6 @@ def update_tiles(
     touched cell, rows along y. ``oldest``, ``newest`` (T,) are extended by the stamps of the points.
     """
     model, a, _, window, _, min_share, _ = rules
-    address = tiles[0]
     w0, v0, w1, v1 = window
     count = np.uint64(0)
     for found in range(len(starts)):
@@ -299,7 +298,7 @@ def update_tiles(
                     continue
                 begun[row] = 1
             if home >= 0:
-                count = _enqueue_run(queue, count, n, stop, address[row], bits, row, planes, model)
+                count = _enqueue_run(queue, count, n, stop, tiles[row, 0], bits, row, planes, model)
                 _widen(oldest, newest, row, stamps, n, stop)
                 continue
             i0, j0, i1, j1 = box_of(planes.odd_box, odd)
@@ -310,7 +309,7 @@ def update_tiles(
             q, up = planes.q[n] if model != POINT else 1.0, np.uint64(planes.up[n])
             if row >= 0:
                 count = _enqueue_odd(
-                    queue, count, n, up, address[row], bits, row, q, i0, j0, ni, i0, i1, j0, j1, least, shares, main
+                    queue, count, n, up, tiles[row, 0], bits, row, q, i0, j0, ni, i0, i1, j0, j1, least, shares, main
                 )
                 _widen(oldest, newest, row, stamps, n, stop)
                 continue
@@ -323,7 +322,7 @@ def update_tiles(
                     j_low, j_high = max(j0, v0, ty << _SHIFT), min(j1, v1, (ty << _SHIFT) + _MASK)
                     before = count
                     count = _enqueue_odd(
-                        queue, count, n, up, address[row], bits, row, q, i0, j0, ni, i_low, i_high, j_low, j_high,
+                        queue, count, n, up, tiles[row, 0], bits, row, q, i0, j0, ni, i_low, i_high, j_low, j_high,
                         least, shares, main,
                     )  # fmt: skip
                     if count != before:
