@@ -98,7 +98,7 @@ def test_what_a_tile_says_of_itself(served: Served) -> None:
 
 @pytest.mark.parametrize(("dtype", "level"), list(itertools.product(["f4", "f8"], [0, 1, 4])))
 def test_values_are_those_of_the_map(served: Served, dtype: str, level: int) -> None:
-    names = layers_of("all")[::-1]  # any order that is asked for
+    names = list(layers_of("all"))[::-1]  # any order that is asked for
     found = tiles(served, f"maps/site/tiles/{level}/*/*?layers={','.join(names)};dtype={dtype}")
     assert found
     with served.map.freeze(level) as frozen:
