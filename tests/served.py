@@ -55,7 +55,8 @@ def filled(config: Config) -> RoughMap:
 class Served:
     """A filled map that `server` answers for; `asker` is a session joined to it over loopback.
 
-    `settings` are sections of the configuration; `actions` are what `control` carries out.
+    `settings` are sections of the configuration; the map is one of all points unless they say otherwise. `actions` are
+    what `control` carries out.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -66,7 +67,8 @@ class Served:
     status: Callable[[], MapStatus] | None = None
 
     def __post_init__(self) -> None:
-        self.config = Config.model_validate({"map": {"name": "site"}, **self.settings})
+        own = {"name": "site", "surface": "all", **self.settings.get("map", {})}
+        self.config = Config.model_validate({**self.settings, "map": own})
         self.map = filled(self.config)
         self.view = View(self.map, self.epoch)
         self.keys = Keys(self.config.map.name, self.config.keys)

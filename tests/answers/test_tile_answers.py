@@ -9,7 +9,7 @@ import zstandard
 from asking_raw import RawTile, get
 from served import INSTANCE, T0, Served
 
-from roughmap_schemas.layers import LAYERS
+from roughmap_schemas.layers import layers_of
 
 Key = tuple[int, int, int]
 LEVELS = 8
@@ -82,6 +82,7 @@ def test_what_a_tile_says_of_itself(served: Served) -> None:
                 "sequence": sequences[z, x, y], "map_sequence": 5, "answer_tiles": len(everything),
                 "oldest_ns": oldest, "newest_ns": newest, "known_cells": frozen.known_cells(x, y),
                 "digest": frozen.digest(x, y), "configuration_digest": served.digest, "compression": None,
+                "surface": "all",
             }  # fmt: skip
         assert tile.info == expected
         assert T0 <= oldest <= newest == tile.stamp_ns
@@ -97,7 +98,7 @@ def test_what_a_tile_says_of_itself(served: Served) -> None:
 
 @pytest.mark.parametrize(("dtype", "level"), list(itertools.product(["f4", "f8"], [0, 1, 4])))
 def test_values_are_those_of_the_map(served: Served, dtype: str, level: int) -> None:
-    names = list(LAYERS)[::-1]  # any order that is asked for
+    names = list(layers_of("all"))[::-1]  # any order that is asked for
     found = tiles(served, f"maps/site/tiles/{level}/*/*?layers={','.join(names)};dtype={dtype}")
     assert found
     with served.map.freeze(level) as frozen:

@@ -1,6 +1,8 @@
 """What the first scan and the first query would wait for is compiled before the service is ready."""
 
+import importlib
 import logging
+import pkgutil
 import threading
 from itertools import product
 
@@ -8,19 +10,21 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from roughmap.integration import blocks, phases, tile_update
-from roughmap.points import place
-from roughmap.reading import cell_values, levels, terrain
+import roughmap
 from roughmap.reading.cell_values import known_bits
-from roughmap.tiles import changes, index, rows, slots
-from roughmap_schemas import LAYERS, Config, contract_timed, decode_cloud, encode_cloud
+from roughmap_schemas import Config, contract_timed, decode_cloud, encode_cloud
+from roughmap_schemas.layers import layers_of
 from roughmap_service.engine import warmup
 from roughmap_service.engine.warmup import UNTURNED, warm_up
 from roughmap_service.run.placing import place_cloud
 from roughmap_service.run.poses import Pose
 from roughmap_service.run.settings import Settings, new_map
 
-MODULES = (blocks, phases, place, tile_update, changes, index, rows, slots, cell_values, levels, terrain)
+MODULES = [
+    importlib.import_module(found.name)
+    for found in pkgutil.walk_packages(roughmap.__path__, "roughmap.")
+    if not found.name.startswith("roughmap.reference")
+]
 
 
 def compiled() -> dict[str, int]:
@@ -33,9 +37,12 @@ def compiled() -> dict[str, int]:
     return found
 
 
+@pytest.mark.parametrize("surface", ["ground", "all"])
 @pytest.mark.parametrize("model", ["point", "cuboid", "ellipsoid"])
-def test_no_cloud_and_no_query_finds_a_kernel_uncompiled(model: str) -> None:
-    config = Config.model_validate({"map": {"error_model": model}, "sensors": {"lidar": {"range_sigma": 0.02}}})
+def test_no_cloud_and_no_query_finds_a_kernel_uncompiled(model: str, surface: str) -> None:
+    config = Config.model_validate(
+        {"map": {"error_model": model, "surface": surface}, "sensors": {"lidar": {"range_sigma": 0.02}}}
+    )
     warm_up(config, threading.Event())
     before = compiled()
     assert before["roughmap.integration.blocks.scan_blocks"] > 0
@@ -54,11 +61,11 @@ def test_no_cloud_and_no_query_finds_a_kernel_uncompiled(model: str) -> None:
             cloud = contract_timed(decode_cloud(payload, max_message=1 << 20, max_points=1 << 20))
             layouts.add((dtype, cloud.points.flags.aligned, cloud.points.flags.c_contiguous))
             with rough_map.freeze():
-                rough_map.integrate(place_cloud(rough_map, "", cloud, line, settings))
+                rough_map.integrate(place_cloud(rough_map, "", cloud, line, settings, clear=settings.clears))
         for level in (0, 1):
             with rough_map.freeze(level) as frozen:
                 known_bits(frozen.records(0, 0))
-                for name in LAYERS:
+                for name in layers_of(surface):
                     frozen.packed_layers(0, 0, [name])
                     frozen.tile_layers(0, 0, [name])
         rough_map._table.pool.take_columns(rough_map._table.slot[:1])

@@ -21,7 +21,7 @@ from roughmap_service.run.settings import RULES, Settings
 
 OLD = Path(__file__).with_name("rules_1")
 
-AS_THEN = config(input={"pose_history": 5.0}, map={"max_vertical_sigma": math.inf})
+AS_THEN = config(input={"pose_history": 5.0}, map={"max_vertical_sigma": math.inf, "surface": "all"})
 
 
 @pytest.fixture

@@ -133,7 +133,7 @@ def test_a_cloud_in_the_maps_frame() -> None:
     event = integrate(s, scan(points, frame="map"), poses=[])
     assert (event.accepted, event.rejected) == (5, {})
     expected = new_map(values)
-    expected.add(points, np.eye(3) * 0.03**2, T0 + SECOND // 20)
+    expected.add(points, np.eye(3) * 0.03**2, T0 + SECOND // 20, common=0.03**2)
     assert s.map.digest() == expected.digest()
 
 

@@ -9,6 +9,7 @@ from roughmap.reading.cell_values import known_bits
 from roughmap.tiles.index import rehash
 from roughmap.tiles.slots import SlotPool
 from roughmap_schemas import Config, contract_timed, decode_cloud, encode_cloud
+from roughmap_schemas.layers import layers_of
 from roughmap_service.host.log_lines import note
 from roughmap_service.run.placing import place_cloud
 from roughmap_service.run.pose_algebra import angle_between
@@ -47,7 +48,8 @@ def _run(config: Config, stop: threading.Event) -> None:
     sensors = [("", frame) for frame in config.sensors]
     sensors += [(robot, frame) for robot, own in config.robots.items() for frame in own.sensors]
     line = [Pose(k * 10**9, (0.0, 0.0, 0.0), UNTURNED, None, 1, 0) for k in (0, 1)]
-    points = np.tile([[3.0, 0.0, -0.3], [0.0, 3.0, -0.5], [-3.0, 1.0, -0.4]], (1400, 1))  # work for two threads
+    places = [[3.0, 0.0, -0.3], [0.0, 3.0, -0.5], [-3.0, 1.0, -0.4], [3.0, 0.0, 0.9]]  # the last is off the ground
+    points = np.tile(places, (1400, 1))  # work for two threads
     points += np.linspace(0.0, 1e-3, len(points))[:, None]  # equal ones would be rejected
     angle_between(UNTURNED, UNTURNED)  # how far a pose turned
     rehash(np.empty(2, np.int32), np.zeros(1, np.uint64), 0)  # the index of tiles grows
@@ -62,8 +64,11 @@ def _run(config: Config, stop: threading.Event) -> None:
                 frozen.packed_layers(0, 0, ["mean_height"])
                 known_bits(frozen.records(0, 0))
                 rough_map.integrate(place_cloud(rough_map, robot, cloud, line, settings, clear=settings.clears))
-        rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height", "confidence_level", "traversability"], level=0)
-        rough_map.region((-2.0, -2.0, 2.0, 2.0), ["mean_height"], level=config.map.levels - 1)
+        for level in (0, config.map.levels - 1):
+            with rough_map.freeze(level) as frozen:
+                for name in layers_of(config.map.surface):
+                    frozen.packed_layers(0, 0, [name])
+                    frozen.tile_layers(0, 0, [name])
         rough_map.digest()
         rough_map.forget(rough_map.tile_sequences()[0])
     pool, dense = SlotPool(), np.ones(1, np.bool_)
