@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from read_tools import TILE_SHAPE, cell_of, chance_tile, tile_of
 from two_methods import over_cells
 
-from roughmap.cell import CELL_DTYPE
+from roughmap.cell import CELL_DTYPE, TRUST_DTYPE
 from roughmap.map import RoughMap
-from roughmap.reading.levels import merge
+from roughmap.reading.levels import merge, merge_flags, merge_trust
 
 CHILDREN = ((0, 0), (1, 0), (0, 1), (1, 1))
 
@@ -91,6 +91,32 @@ def test_the_merge_is_that_of_all_points_at_once(points: list[list[tuple[int, in
     assert got["weight_sq"] == sum(w * w for _, w in every)
     assert (got["min"], got["max"]) == (min(h for h, _ in every), max(h for h, _ in every))
     assert got["count"] == len(every)
+
+
+def test_sigmas_of_trust_are_averaged_by_weight() -> None:
+    """Weights 1 and 3, sigmas 1 and 2 cm: 1.75 cm. A lone child keeps its trust; unknown children don't count."""
+    cells = tile_of({(0, 0): cell_of([0.0]), (1, 1): cell_of([0.0], [3.0]), (2, 0): cell_of([1.0])})
+    trust = np.zeros(TILE_SHAPE, TRUST_DTYPE)
+    trust[0, 0] = 1e-4, 5.0, 0.01, 0.1, 77
+    trust[1, 1] = 4e-4, 5.0, 0.03, 0.2, 78
+    trust[0, 1] = 9.0, 9.0, 9.0, 9.0, 9
+    trust[0, 2] = 3e-5, 1.0, 2e-5, 0.3, 7
+    got = merge_trust([cells, None, None, None], [trust, None, None, None])
+    assert not got.flags.writeable
+    assert got[0, 0]["variance"] == pytest.approx(0.0175**2, rel=1e-6)
+    assert got[0, 0]["pose_variance"] == pytest.approx(0.025, rel=1e-6)
+    assert got[0, 0]["mount_sigma"] == pytest.approx(0.175, rel=1e-6)
+    assert (got[0, 0]["shared"], got[0, 0]["stamp_ms"]) == (0.0, 0)
+    assert got[0, 1]["variance"] == pytest.approx(np.float32(3e-5), rel=1e-7)
+    assert (got[0, 1]["pose_variance"], got[0, 1]["mount_sigma"]) == (np.float32(2e-5), np.float32(0.3))
+    assert got[1:].tobytes() == got[0, 2:].tobytes() + bytes(got[1:].nbytes - got[0, 2:].nbytes)
+
+
+def test_a_cell_is_confirmed_if_a_child_is() -> None:
+    flags = np.zeros((64, 64), np.uint16)
+    flags[5, 7] = flags[4, 6] = flags[63, 63] = 1
+    got = merge_flags([None, flags.reshape(-1, 1), None, None]).reshape(64, 64)
+    assert np.argwhere(got).tolist() == [[2, 32 + 3], [31, 63]]
 
 
 def grown_map(model: str, side: float, levels: int, seed: int) -> tuple[RoughMap, np.ndarray]:
