@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roughmap.map import RoughMap
-from roughmap.reading.layers import LAYERS
+from roughmap.reading.layers import layers_of
 from roughmap.reading.region import MAX_CELLS, cell_box, read_region
+
+LAYERS = layers_of("all")
 
 
 def test_an_edge_within_rounding_of_a_border_lies_on_it() -> None:
