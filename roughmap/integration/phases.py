@@ -298,5 +298,5 @@ def phase_two(
     newest_ns = int(newest.max(initial=0))
     if work.sight is None:
         return newest_ns, 0, work.changed
-    cleared, where = clear(work.sight, table, settings.cell_size, space, sequence)
-    return newest_ns, cleared, np.unique(np.concatenate([work.changed, where]), axis=0)
+    cleared, changed = clear(work.sight, table, settings.cell_size, space, sequence)
+    return newest_ns, cleared, np.unique(np.concatenate([work.changed, changed]), axis=0)
