@@ -36,7 +36,17 @@ class _Locating(CompileResultCacheImpl):
     _locator_classes = [*CompileResultCacheImpl._locator_classes, _BesideTheSource]  # noqa: RUF012 - as numba declares it
 
 
-class _KernelFiles(IndexDataCacheFile):
+class _IndexFile(IndexDataCacheFile):
+    """An index of compiled kernels, empty if it can't be read: its signatures may name types that are no more."""
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()  # type: ignore[no-untyped-call]
+        except Exception:  # noqa: BLE001 - whatever unpickling raises; compiling again is always right
+            return {}
+
+
+class _KernelFiles(_IndexFile):
     """Compiled kernels of one function: first those beside the source, then those in the writable cache folder.
 
     A container image ships kernels beside the sources, where its user cannot write. On a CPU other than the one they
@@ -45,7 +55,7 @@ class _KernelFiles(IndexDataCacheFile):
 
     def __init__(self, folder: str, beside: str, name: str, stamp: str) -> None:
         super().__init__(cache_path=folder, filename_base=name, source_stamp=stamp)  # type: ignore[no-untyped-call]
-        self._shipped = IndexDataCacheFile(cache_path=beside, filename_base=name, source_stamp=stamp)  # type: ignore[no-untyped-call]
+        self._shipped = _IndexFile(cache_path=beside, filename_base=name, source_stamp=stamp)  # type: ignore[no-untyped-call]
 
     def load(self, key: object) -> Any:
         """Return the kernel's data, or None."""

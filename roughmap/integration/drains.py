@@ -29,9 +29,33 @@ _CELL = np.uint64(CELL_DTYPE.itemsize)
 _COLUMN = np.uint64(COLUMN_DTYPE.itemsize)
 _UP = np.uint64(1)
 
+_WORDS = 4
+ENTRY = np.uint64(8 * _WORDS)
+"""Bytes of a queued update, four words: the address of the cell, + 1 if the point looks up; the weight, negative in the
+cell of the point's largest share; the number of the point, + 2^ROW times the row of the tile; the address of the cell's
+trust. One after the other, so that kernels need one address for them: with four arrays they run out of registers."""
+_CELL_WORD, _WEIGHT_WORD, _POINT_WORD, _TRUST_WORD = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
+
 TILE_WORDS = 3
 _TILE = np.uint64(8 * TILE_WORDS)
 _CELLS, _COLUMNS, _BASED = np.uint64(0), np.uint64(1), np.uint64(2)
+
+
+@inline
+def put(at: Scalar, cell: Scalar, weight: Scalar, point: Scalar, trust: Scalar) -> None:
+    """Write an update to the queue at the address ``at``; see `ENTRY`."""
+    entry, floating = carray(pointer(at, np.uint64(0)), (_WORDS,)), carray(pointer(at, np.float64(0.0)), (_WORDS,))
+    entry[_CELL_WORD] = cell
+    floating[_WEIGHT_WORD] = weight
+    entry[_POINT_WORD] = point
+    entry[_TRUST_WORD] = trust
+
+
+@inline
+def _queued(at: Scalar) -> Scalar:
+    """Return the update at the address ``at``."""
+    entry, floating = carray(pointer(at, np.uint64(0)), (_WORDS,)), carray(pointer(at, np.float64(0.0)), (_WORDS,))
+    return entry[_CELL_WORD], floating[_WEIGHT_WORD], entry[_POINT_WORD], entry[_TRUST_WORD]
 
 
 @inline
@@ -43,34 +67,34 @@ def _times(stamp: Scalar) -> Scalar:
 
 @kernel
 def drain_all(
-    queue: Scalar, count: Scalar, planes: Scalar, stamps: I8, model: int, min_distance: float, pose_error_time: float
+    start: Scalar, stop: Scalar, planes: Scalar, stamps: I8, model: int, min_distance: float, pose_error_time: float
 ) -> None:
-    """Apply the first ``count`` updates of a queue, in order: every point counts.
+    """Apply the updates from the address ``start`` up to ``stop``, in order: every point counts.
 
     A loop for each case: a test inside costs as much as a tenth of an update.
     """
     never_inline()
-    cell, weight, point, trust = queue
     z, q, common, mount = planes.z, planes.q, planes.common, planes.mount
     span = alike_for(pose_error_time)
     if len(stamps) > 1:
-        for c in range(count):
-            n = point[c] & _NUMBER
+        for at in range(start, stop, ENTRY):
+            cell, weight, point, trust = _queued(at)
+            n = point & _NUMBER
             density = q[n] if model != POINT else 1.0
             second, ms = _times(stamps[n])
-            _apply(
-                cell[c], trust[c], abs(weight[c]), z[n], density, second, min_distance, common[n], mount[n], ms, span
-            )
+            _apply(cell, trust, abs(weight), z[n], density, second, min_distance, common[n], mount[n], ms, span)
         return
     second, ms = _times(stamps[0])
     if model == POINT:
-        for c in range(count):
-            n = point[c] & _NUMBER
-            _apply(cell[c], trust[c], 1.0, z[n], 1.0, second, min_distance, common[n], mount[n], ms, span)
+        for at in range(start, stop, ENTRY):
+            cell, weight, point, trust = _queued(at)
+            n = point & _NUMBER
+            _apply(cell, trust, 1.0, z[n], 1.0, second, min_distance, common[n], mount[n], ms, span)
         return
-    for c in range(count):
-        n = point[c] & _NUMBER
-        _apply(cell[c], trust[c], abs(weight[c]), z[n], q[n], second, min_distance, common[n], mount[n], ms, span)
+    for at in range(start, stop, ENTRY):
+        cell, weight, point, trust = _queued(at)
+        n = point & _NUMBER
+        _apply(cell, trust, abs(weight), z[n], q[n], second, min_distance, common[n], mount[n], ms, span)
 
 
 @inline
@@ -84,8 +108,8 @@ def _apply(
 
 @kernel
 def drain_ground(
-    queue: Scalar,
-    count: Scalar,
+    start: Scalar,
+    stop: Scalar,
     planes: Scalar,
     stamps: I8,
     model: int,
@@ -100,34 +124,36 @@ def drain_ground(
     when a column comes into use.
     """
     never_inline()
-    cell, weight, point, trust = queue
     z, q, common, mount = planes.z, planes.q, planes.common, planes.mount
     span = alike_for(pose_error_time)
     table = np.uint64(tiles.ctypes.data)  # no array is passed on: each call would count references
     if len(stamps) > 1:
-        for c in range(count):
-            n = point[c] & _NUMBER
+        for at in range(start, stop, ENTRY):
+            cell, weight, point, trust = _queued(at)
+            n = point & _NUMBER
             density = q[n] if model != POINT else 1.0
             second, ms = _times(stamps[n])
             _take(
-                cell[c], trust[c], weight[c], z[n], density, second, min_distance, common[n], mount[n], ms, span, band,
-                model == POINT, point[c], table,
+                cell, trust, weight, z[n], density, second, min_distance, common[n], mount[n], ms, span, band,
+                model == POINT, point, table,
             )  # fmt: skip
         return
     second, ms = _times(stamps[0])
     if model == POINT:
-        for c in range(count):
-            n = point[c] & _NUMBER
+        for at in range(start, stop, ENTRY):
+            cell, weight, point, trust = _queued(at)
+            n = point & _NUMBER
             _take(
-                cell[c], trust[c], 1.0, z[n], 1.0, second, min_distance, common[n], mount[n], ms, span, band, True,
-                point[c], table,
+                cell, trust, 1.0, z[n], 1.0, second, min_distance, common[n], mount[n], ms, span, band, True,
+                point, table,
             )  # fmt: skip
         return
-    for c in range(count):
-        n = point[c] & _NUMBER
+    for at in range(start, stop, ENTRY):
+        cell, weight, point, trust = _queued(at)
+        n = point & _NUMBER
         _take(
-            cell[c], trust[c], weight[c], z[n], q[n], second, min_distance, common[n], mount[n], ms, span, band, False,
-            point[c], table,
+            cell, trust, weight, z[n], q[n], second, min_distance, common[n], mount[n], ms, span, band, False,
+            point, table,
         )  # fmt: skip
 
 

@@ -262,8 +262,8 @@ def phase_two(
     oldest[there[known]], newest[there[known]] = table.oldest_ns[entries[known]], table.newest_ns[entries[known]]
     begun = np.zeros(number, np.uint8)
     begun[there] = known
-    where = np.zeros((number, TILE_WORDS), np.uint64)
-    where[there, 0], where[there, 1] = table.pool.address[slots], table.pool.column_address[slots]
+    homes = np.zeros((number, TILE_WORDS), np.uint64)
+    homes[there, 0], homes[there, 1] = table.pool.address[slots], table.pool.column_address[slots]
     ends = np.array([touched.runs for touched in ranges])
     measures = settings.min_distance, settings.band, float(work.pose_error_time)
 
@@ -280,7 +280,7 @@ def phase_two(
             work.rows,
             tiles.table,
             tiles.keys[: tiles.number],
-            where,
+            homes,
             begun,
             work.bits,
             oldest,
@@ -291,7 +291,7 @@ def phase_two(
         )
 
     space.run(work.parts, update)
-    table.pool.drop_columns(np.setdiff1d(lent, slots[where[there, 2] != 0]))
+    table.pool.drop_columns(np.setdiff1d(lent, slots[homes[there, 2] != 0]))
     table.oldest_ns[entries] = oldest[there]
     table.newest_ns[entries] = newest[there]
     table.mark_changed(entries, tx, ty, work.bits[there], sequence)

@@ -4,7 +4,7 @@ import numpy as np
 
 from roughmap.arrays import F8, I4, I8, U1, U8, Scalar
 from roughmap.cell import CELL_DTYPE, TILE_CELLS, TILE_SHIFT, TRUST_DTYPE
-from roughmap.integration.drains import QUEUE, ROW, drain_all, drain_ground
+from roughmap.integration.drains import ENTRY, QUEUE, ROW, drain_all, drain_ground, put
 from roughmap.intrinsics import prefetch
 from roughmap.jit import inline, kernel
 from roughmap.points.footprint import LEAST_SHARE, POINT, box_of, shares_of
@@ -82,8 +82,7 @@ def _largest_share(shares: F8, number: Scalar, largest: Scalar) -> Scalar:
 
 @inline
 def _enqueue_odd(
-    queue: Scalar,
-    count: Scalar,
+    at: Scalar,
     n: Scalar,
     up: Scalar,
     address: Scalar,
@@ -101,12 +100,11 @@ def _enqueue_odd(
     shares: F8,
     main: Scalar,
 ) -> Scalar:
-    """Queue the cells of one tile that a footprint covers; return the new length of the queue.
+    """Queue the cells of one tile that a footprint covers, from the address ``at`` on; return where the queue ends.
 
-    Every cell is written to the queue, but the length only grows for those that count: there is no branch to
+    Every cell is written to the queue, but its end only moves on for those that count: there is no branch to
     mispredict. ``main``: the cell of the largest share.
     """
-    cell, weight, point, trust = queue
     tagged = np.uint64(row) << ROW | np.uint64(n)
     for j in range(j_low, j_high + 1):
         changed = np.uint64(0)
@@ -118,21 +116,18 @@ def _enqueue_odd(
             column = np.uint64(i & _MASK)
             where = address + (line * _ROW + column) * _BYTES
             believed = address + _TRUST + (line * _ROW + column) * _TRUST_BYTES
-            cell[count] = where + up
-            weight[count] = -p * q if c == main else p * q
-            point[count] = tagged
-            trust[count] = believed
-            count += taken
+            put(at, where + up, -p * q if c == main else p * q, tagged, believed)
+            at += taken * ENTRY
             changed |= taken << column
             prefetch(where)
             prefetch(believed)
         bits[row, line] |= changed
-    return count
+    return at
 
 
 @inline
 def _enqueue_plain(
-    queue: Scalar, count: Scalar, n: Scalar, tagged: Scalar, up: Scalar, where: Scalar, believed: Scalar,
+    at: Scalar, n: Scalar, tagged: Scalar, up: Scalar, where: Scalar, believed: Scalar,
     corner: Scalar, bits: U8, row: Scalar, weight: F8,
 ) -> Scalar:  # fmt: skip
     """Do the same for the 2 x 2 cells of a plain point, of which the first is at ``where``, its trust at ``believed``.
@@ -140,7 +135,6 @@ def _enqueue_plain(
     No array is sliced in here: each slice would count references, which costs more than the rest.
     """
     b, k = np.uint64(n) // np.uint64(BLOCK), np.uint64(n) % np.uint64(BLOCK)
-    cell, heavy, point, trust = queue
     w0, w1 = weight[b, np.uint64(0), k], weight[b, np.uint64(1), k]
     w2, w3 = weight[b, np.uint64(2), k], weight[b, np.uint64(3), k]
     t0, t1, t2, t3 = np.uint64(w0 != 0.0), np.uint64(w1 != 0.0), np.uint64(w2 != 0.0), np.uint64(w3 != 0.0)
@@ -153,47 +147,31 @@ def _enqueue_plain(
     prefetch(believed + _TRUST_NORTH)
     prefetch(believed + _TRUST_NORTH + _TRUST_BYTES + _TRUST_END)
     where |= up
-    cell[count] = where
-    heavy[count] = w0
-    point[count] = tagged
-    trust[count] = believed
-    count += t0
-    cell[count] = where + _EAST
-    heavy[count] = w1
-    point[count] = tagged
-    trust[count] = believed + _TRUST_BYTES
-    count += t1
-    cell[count] = where + _NORTH
-    heavy[count] = w2
-    point[count] = tagged
-    trust[count] = believed + _TRUST_NORTH
-    count += t2
-    cell[count] = where + _NORTH + _EAST
-    heavy[count] = w3
-    point[count] = tagged
-    trust[count] = believed + _TRUST_NORTH + _TRUST_BYTES
-    count += t3
+    put(at, where, w0, tagged, believed)
+    at += t0 * ENTRY
+    put(at, where + _EAST, w1, tagged, believed + _TRUST_BYTES)
+    at += t1 * ENTRY
+    put(at, where + _NORTH, w2, tagged, believed + _TRUST_NORTH)
+    at += t2 * ENTRY
+    put(at, where + _NORTH + _EAST, w3, tagged, believed + _TRUST_NORTH + _TRUST_BYTES)
+    at += t3 * ENTRY
     line, column = corner >> _CORNER, corner & np.uint64(_MASK)
     bits[row, line] |= (t0 | t1 << _ONE) << column
     bits[row, (line + _ONE) & np.uint64(_MASK)] |= (t2 | t3 << _ONE) << column
-    return count
+    return at
 
 
 @inline
 def _enqueue_point(
-    queue: Scalar, count: Scalar, tagged: Scalar, up: Scalar, where: Scalar, believed: Scalar, corner: Scalar, bits: U8,
+    at: Scalar, tagged: Scalar, up: Scalar, where: Scalar, believed: Scalar, corner: Scalar, bits: U8,
     row: Scalar,
 ) -> Scalar:  # fmt: skip
     """Do the same for the model `point`: one cell, of weight 1."""
-    cell, heavy, point, trust = queue
     prefetch(where)
     prefetch(believed)
-    cell[count] = where | up
-    heavy[count] = 1.0
-    point[count] = tagged
-    trust[count] = believed
+    put(at, where | up, 1.0, tagged, believed)
     bits[row, corner >> _CORNER] |= _ONE << (corner & np.uint64(_MASK))
-    return count + _ONE
+    return at + ENTRY
 
 
 @inline
@@ -210,7 +188,7 @@ def _widen(oldest: I8, newest: I8, row: Scalar, stamps: I8, first: Scalar, last:
 
 @inline
 def _enqueue_run(
-    queue: Scalar, count: Scalar, first: Scalar, last: Scalar, base: Scalar, bits: U8, row: Scalar, planes: Scalar,
+    at: Scalar, first: Scalar, last: Scalar, base: Scalar, bits: U8, row: Scalar, planes: Scalar,
     model: Scalar,
 ) -> Scalar:  # fmt: skip
     """Do the same for a run of plain points in the tile at ``base``."""
@@ -219,12 +197,10 @@ def _enqueue_run(
         corner, up, tagged = np.uint64(planes.corner[n]), np.uint64(planes.up[n]), tag | np.uint64(n)
         where, trust = base + corner * _BYTES, believed + corner * _TRUST_BYTES
         if model == POINT:
-            count = _enqueue_point(queue, count, tagged, up, where, trust, corner, bits, np.uint64(row))
+            at = _enqueue_point(at, tagged, up, where, trust, corner, bits, np.uint64(row))
         else:
-            count = _enqueue_plain(
-                queue, count, n, tagged, up, where, trust, corner, bits, np.uint64(row), planes.weight
-            )
-    return count
+            at = _enqueue_plain(at, n, tagged, up, where, trust, corner, bits, np.uint64(row), planes.weight)
+    return at
 
 
 @inline
@@ -278,7 +254,8 @@ def update_tiles(
     """
     model, a, _, window, _, min_share, _ = rules
     w0, v0, w1, v1 = window
-    count = np.uint64(0)
+    start = at = np.uint64(queue.ctypes.data)
+    full = start + np.uint64(QUEUE) * ENTRY
     for found in range(len(starts)):
         for run in range(starts[found], ends[found]):
             home = np.int64(planes.run_tile[run])
@@ -288,9 +265,9 @@ def update_tiles(
                 row = np.int64(rows[found, row])
                 if owner[row] != part:
                     continue
-            if count >= QUEUE:
-                _drain(queue, count, planes, stamps, rules, measures, tiles)
-                count = np.uint64(0)
+            if at >= full:
+                _drain(start, at, planes, stamps, rules, measures, tiles)
+                at = start
             n, stop = np.int64(planes.run_start[run]), np.int64(planes.run_stop[run])
             if row >= 0 and begun[row] == 0:
                 n = _skip_up(planes, n, stop)
@@ -298,7 +275,7 @@ def update_tiles(
                     continue
                 begun[row] = 1
             if home >= 0:
-                count = _enqueue_run(queue, count, n, stop, tiles[row, 0], bits, row, planes, model)
+                at = _enqueue_run(at, n, stop, tiles[row, 0], bits, row, planes, model)
                 _widen(oldest, newest, row, stamps, n, stop)
                 continue
             i0, j0, i1, j1 = box_of(planes.odd_box, odd)
@@ -308,8 +285,8 @@ def update_tiles(
             main = _largest_share(shares, ni * (j1 - j0 + 1), largest)
             q, up = planes.q[n] if model != POINT else 1.0, np.uint64(planes.up[n])
             if row >= 0:
-                count = _enqueue_odd(
-                    queue, count, n, up, tiles[row, 0], bits, row, q, i0, j0, ni, i0, i1, j0, j1, least, shares, main
+                at = _enqueue_odd(
+                    at, n, up, tiles[row, 0], bits, row, q, i0, j0, ni, i0, i1, j0, j1, least, shares, main
                 )
                 _widen(oldest, newest, row, stamps, n, stop)
                 continue
@@ -320,12 +297,12 @@ def update_tiles(
                         continue
                     i_low, i_high = max(i0, w0, tx << _SHIFT), min(i1, w1, (tx << _SHIFT) + _MASK)
                     j_low, j_high = max(j0, v0, ty << _SHIFT), min(j1, v1, (ty << _SHIFT) + _MASK)
-                    before = count
-                    count = _enqueue_odd(
-                        queue, count, n, up, tiles[row, 0], bits, row, q, i0, j0, ni, i_low, i_high, j_low, j_high,
+                    before = at
+                    at = _enqueue_odd(
+                        at, n, up, tiles[row, 0], bits, row, q, i0, j0, ni, i_low, i_high, j_low, j_high,
                         least, shares, main,
                     )  # fmt: skip
-                    if count != before:
+                    if at != before:
                         begun[row] = 1
                         _widen(oldest, newest, row, stamps, n, stop)
-    _drain(queue, count, planes, stamps, rules, measures, tiles)
+    _drain(start, at, planes, stamps, rules, measures, tiles)

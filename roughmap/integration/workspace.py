@@ -9,7 +9,7 @@ import numpy as np
 
 from roughmap.arrays import F4, F8, I4, I8, U1, U2, U8
 from roughmap.cell import PointReason
-from roughmap.integration.drains import QUEUE, RUN
+from roughmap.integration.drains import ENTRY, QUEUE, RUN
 from roughmap.integration.range_image import new_image
 from roughmap.points.moving import MovingScratch, moving_scratch
 from roughmap.points.place import BLOCK, PLANES, STRIDE
@@ -106,19 +106,6 @@ class Block(NamedTuple):
     plain: U1
 
 
-class Queue(NamedTuple):
-    """Pending updates of cells.
-
-    ``cell``: address of the cell, + 1 if the point looks up. ``weight``: negative in the cell of the point's largest
-    share. ``point``: number of the point, + 2^32 times the row of the tile. ``trust``: address of the cell's trust.
-    """
-
-    cell: U8
-    weight: F8
-    point: U8
-    trust: U8
-
-
 class TouchedTiles:
     """The tiles that a range of points touches, by key, in a small hash table that doubles when it is half full.
 
@@ -176,9 +163,7 @@ class ThreadScratch:
         self.lines = np.zeros((5, side + 1))
         self.shares = np.empty(side * side)
         room = QUEUE + max(side * side, 4 * RUN)
-        self.queue = Queue(
-            np.empty(room, np.uint64), np.empty(room), np.empty(room, np.uint64), np.empty(room, np.uint64)
-        )
+        self.queue = np.empty(room * int(ENTRY) // 8, np.uint64)
 
 
 class Workspace:

@@ -1,10 +1,13 @@
 """Compiled kernels are cached on disk, and compiled again when any source they may depend on changes."""
 
 import os
+import pickle
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+
+import numba
 
 import roughmap
 
@@ -65,3 +68,16 @@ def test_kernels_beside_the_source_serve_another_folder(tmp_path: Path) -> None:
     assert list(own.rglob("*.nbc"))
     assert run(tmp_path, **other) == (angle, True)
     assert sorted((tmp_path / "roughmap" / "points" / "__pycache__").glob("*.nb?")) == beside
+
+
+def test_an_index_that_names_a_type_of_another_version_is_replaced(tmp_path: Path) -> None:
+    """Signatures are pickled with the types of their arguments; a type may have gone since."""
+    package = Path(roughmap.__file__).parent
+    shutil.copytree(package, tmp_path / "roughmap", ignore=shutil.ignore_patterns("__pycache__"))
+    angle, _ = run(tmp_path)
+    version = pickle.dumps(numba.__version__)
+    indexes = list((tmp_path / "roughmap" / "points" / "__pycache__").glob("trajectory._half_angles*.nbi"))
+    assert len(indexes) == 1
+    indexes[0].write_bytes(version + b"croughmap.cell\nNoSuchType\n.")
+    assert run(tmp_path) == (angle, False)
+    assert run(tmp_path) == (angle, True)
