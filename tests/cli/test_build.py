@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from roughmap import Noise, RoughMap, Scan, Trajectory
+from roughmap_schemas.layers import DEFAULT_SURFACE
 from roughmap_service.cli.main import run
 from roughmap_service.store.map_db import Store
 
@@ -43,8 +44,8 @@ def test_placed_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     np.savez(tmp_path / "points.npz", points=points)
     code, out, _ = build(["points.npz", "-o", "map.db", "--json"], capsys)
     assert code == 0
-    by_hand = RoughMap()
-    by_hand.add(points, np.eye(3) * (0.02 * 0.02), 0)
+    by_hand = RoughMap(surface=DEFAULT_SURFACE)
+    by_hand.add(points, np.eye(3) * (0.02 * 0.02), 0, common=0.02 * 0.02)
     report = json.loads(out)
     assert report["points"] == report["accepted"] == 500
     assert report["digest"] == by_hand.digest()
@@ -77,7 +78,7 @@ def test_scans_with_their_poses(tmp_path: Path, capsys: pytest.CaptureFixture[st
     (tmp_path / "here.toml").write_text("[sensors.lidar]\ntranslation = [9.0, 9.0, 9.0]\nrange_sigma = 0.03\n")
     code, out, _ = build(["scans.npz", "-o", "map.db", "-c", "here.toml", "--json"], capsys)
     assert code == 0
-    by_hand = RoughMap()
+    by_hand = RoughMap(surface=DEFAULT_SURFACE)
     covariance = np.diag(np.array(POSE_SIGMA) ** 2)[None]
     for k, (begin, end) in enumerate([(0, 100), (100, 300)]):
         stamp = 1_000_000_000 + 500_000_000 * k
@@ -131,8 +132,10 @@ def test_no_data_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     report = json.loads(out)
     assert (report["points"], report["accepted"]) == (4, 2)
     assert report["rejected"] == {"no_data": 1, "not_finite": 1}
-    by_hand = RoughMap()
-    by_hand.add(np.array([[100.5, 200.5, 55.3], [103.5, 200.5, 55.2]]), np.eye(3) * (0.02 * 0.02), 0)
+    by_hand = RoughMap(surface=DEFAULT_SURFACE)
+    by_hand.add(
+        np.array([[100.5, 200.5, 55.3], [103.5, 200.5, 55.2]]), np.eye(3) * (0.02 * 0.02), 0, common=0.02 * 0.02
+    )
     assert report["digest"] == by_hand.digest()
 
 

@@ -9,6 +9,7 @@ from live_service import live_service
 
 from roughmap import RoughMap
 from roughmap_client import RoughMapClient
+from roughmap_schemas.layers import DEFAULT_SURFACE
 from roughmap_service.cli.main import run
 
 
@@ -20,8 +21,8 @@ def test_a_built_map_is_served(
     np.savetxt("points.xyz", points, fmt="%.17g")
     assert run(["build", "points.xyz", "-o", "map.db", "--set", "map.error_model=ellipsoid", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
-    own = RoughMap(error_model="ellipsoid")
-    own.add(points, np.eye(3) * (0.02 * 0.02))
+    own = RoughMap(error_model="ellipsoid", surface=DEFAULT_SURFACE)
+    own.add(points, np.eye(3) * (0.02 * 0.02), common=0.02 * 0.02)
     assert report["digest"] == own.digest()
     settings = f'[map]\nerror_model = "ellipsoid"\n[store]\npath = "{tmp_path / "map.db"}"\n'
     with live_service(tmp_path, settings) as service, RoughMapClient("site", connect=service.endpoints) as client:

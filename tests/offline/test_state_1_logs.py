@@ -125,7 +125,7 @@ def test_an_old_store_is_named_with_its_log(logs: Path, store: Store) -> None:
 
 def test_an_old_store_alone(store: Store, tmp_path: Path) -> None:
     with pytest.raises(
-        Exception, match="store is of another version, and there is no log to rebuild it from"
+        Exception, match=r"has state version 1, not 2, and there is no log in .* to rebuild the map from"
     ) as caught:
         recover(config(), tmp_path / "new", store)
     assert caught.value.exit_code == 2

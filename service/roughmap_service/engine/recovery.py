@@ -114,23 +114,22 @@ def set_aside_damaged(store: Store, directory: Path, damage: str) -> bool:
 
 
 def _recover(config: Config, directory: Path, store: Store | None, watch: "_Watch") -> Recovered:
-    outdated = False
+    outdated: OtherStateVersion | None = None
     cut: Cut | None = None
     if store is not None:
         try:
             cut = store.read_cut()
         except OtherStateVersion as error:
-            logger.warning("%s; the map is rebuilt from the log", error)
-            outdated = True
+            outdated = error
     files = newest_run(directory, cut)
     if files and files[-1].metadata.state_version != STATE_VERSION:
         raise OtherState(_other_state(config, files[-1], store if outdated else None))
     if files:
         check_identity(config, files[-1].metadata.configuration, files[-1].path)
+        if outdated:
+            logger.warning("%s; the map is rebuilt from the log", outdated)
     elif outdated:
-        raise LogError(
-            f"{directory}: the store is of another version, and there is no log to rebuild it from; start with --fresh"
-        )
+        raise LogError(f"{outdated}, and there is no log in {directory} to rebuild the map from; start with --fresh")
     result, end = _bring_back(config, store, cut, files, watch)
     if cut is not None and files and end < cut.record:
         result.run.map.reset()  # releases what it holds outside memory
