@@ -4,7 +4,6 @@ A person is an upright cylinder. Of a recorded scan, the beams that meet it retu
 did; so it hides what is behind it, and the hall around it is the recorded one.
 """
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -145,8 +144,7 @@ def blocked(surface: str, hall: Hall, true: Truth, case: Case, model: str, limit
                         points, mine = put_in(points, hall.poses[scan], *at, rng)
                         own |= mine
                 was |= true.grid.hits(points[own] @ hall.poses[scan, :3, :3].T + hall.poses[scan, :3, 3]) > 0
-                sweep = hall.sweeps(limits=limits)[scan]
-                add(made, surface, dataclasses.replace(sweep, scan=dataclasses.replace(sweep.scan, points=points)))
+                add(made, surface, hall.sweep(scan, points, limits))
                 if scan == BEFORE + THERE - 1:
                     while_there = seen(made, surface, BOX)
             now = seen(made, surface, BOX)
@@ -171,7 +169,7 @@ def rows(hall: Hall, true: Truth, seed: int, rounds: int, model: str) -> list[Ro
             ("anywhere, field of view declared", False, Limits(fov=FIELD), 1.0),
         ):
             case = Case(step, backed, seed, rounds)
-            before = blocked("all", hall, true, case, model, Limits())[1]
+            before = blocked("all", hall, true, case, model, Limits())[1] if mark else None
             then, after, number = blocked("ground", hall, true, case, model, limits)
             note = f"of {then:.0f} % in the last scan that saw them; {number} people"
             figure = f"a person who {what}: cells blocked 2 s later"

@@ -46,13 +46,14 @@ class Hall:
     poses: np.ndarray
     stamps: list[int]
 
-    def sweeps(self, points: list[np.ndarray] | None = None, limits: Limits | None = None) -> list[Sweep]:
+    def sweeps(self, points: list[np.ndarray] | None = None) -> list[Sweep]:
         """All scans, or other points in their place."""
+        return [self.sweep(k, own, Limits()) for k, own in enumerate(points or self.points)]
+
+    def sweep(self, scan: int, points: np.ndarray, limits: Limits) -> Sweep:
+        """One scan, of these points (sensor's axes)."""
         way = still(self.poses, self.stamps, POSE_SIGMA, POSE_ANGLE)
-        return [
-            Sweep(Scan(own, stamp), way, NOISE, limits or Limits())
-            for own, stamp in zip(points or self.points, self.stamps, strict=True)
-        ]
+        return Sweep(Scan(points, self.stamps[scan]), way, NOISE, limits)
 
     def placed(self, scan: int) -> np.ndarray:
         """The points of a scan in the map."""

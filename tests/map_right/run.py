@@ -80,8 +80,8 @@ class Judge:
     def of_people(self) -> list[Row]:
         """In the hall, and before the sky."""
         return [
-            *right_person.rows(self.hall, self.true, self.seed, 8, FIRST),
-            *right_field.rows(self.seed, 4, FIRST),
+            *right_person.rows(self.hall, self.true, self.seed, 6, FIRST),
+            *right_field.rows(self.seed, 3, FIRST),
         ]
 
     def _both(self, place: str, model: str) -> dict[str, Seen]:
