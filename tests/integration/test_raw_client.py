@@ -44,7 +44,8 @@ def test_the_raw_client(tmp_path: Path) -> None:
     assert told["accepted"] == 400
     assert told["poses"] == 4
     assert told["tiles"] == [[0, -1], [0, 0], [1, 0]]
-    assert told["known_in_tiles"] == told["known_cells"] > 400
+    # A cell with one point may be known, and its ground not be.
+    assert told["known_cells"] >= told["known_in_tiles"] > 400
     assert told["region"]["shape"] == [18, 18]
     assert told["region"]["origin"] == [0.6, -0.9]
     assert told["region"]["largest_height"] < 1e-6, "the ground is flat, at 0"
