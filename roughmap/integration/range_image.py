@@ -90,8 +90,8 @@ def look_around(image: F4, clear_to: F4, rows: U1) -> None:
     """Find how far the view is clear about each pixel, from the pixel and its eight neighbours.
 
     ``clear_to`` (COLUMNS, ROWS): their least distance, negative if fewer than two of them have a return; minus infinity
-    if none has. ``rows`` (ROWS,): whether there is a return in the row, the one below or the one above. The first and
-    the last row stay as they are.
+    if none has. ``rows`` (ROWS,): whether there is a return in the row, the one below or the one above, or none from
+    here up: over the highest return the sensor looks into the sky. The first and the last row stay as they are.
     """
     seen = np.zeros(ROWS, np.uint8)
     for u in range(COLUMNS):
@@ -107,5 +107,8 @@ def look_around(image: F4, clear_to: F4, rows: U1) -> None:
             out[v] = least if number >= 2 else -least
         for v in range(ROWS):
             seen[v] |= np.uint8(here[v] < _FAR)
+    highest = 0
+    for v in range(ROWS):
+        highest = v if seen[v] else highest
     for v in range(1, ROWS - 1):
-        rows[v] = seen[v - 1] | seen[v] | seen[v + 1]
+        rows[v] = np.uint8(1) if v > highest else seen[v - 1] | seen[v] | seen[v + 1]

@@ -106,7 +106,7 @@ def by_definition(
                     continue
                 around = [(row + v, (azimuth(x, y) + u) % 600) for v in (-1, 0, 1) for u in (-1, 0, 1)]
                 found = [seen[pixel] for pixel in around if pixel in seen]
-                near_rows = not rows.isdisjoint({row - 1, row, row + 1})
+                near_rows = row > max(rows, default=0) or not rows.isdisjoint({row - 1, row, row + 1})
                 free = fov is not None and near_rows and inside(fov, view.axes, x, y, z)
                 if not any(r < d + 0.3 for r in found) and (len(found) >= 2 or free):
                     left[i, j][k] = before // 2
@@ -225,11 +225,14 @@ def test_no_return_clears_only_in_a_declared_field_of_view(
     assert hits(columns, -6, 30) == ({} if gone else {24: 1})
 
 
-def test_no_return_says_nothing_where_its_rows_have_none() -> None:
-    columns: dict[tuple[int, int], Columns] = {}
-    put(columns, -6, 30, 0, {24: 1, 60: 1})
-    clear(columns, wall(6.0, high=1.8), look((0.0, 0.0, 1.0), ALL_AROUND))
-    assert hits(columns, -6, 30) == {60: 1}
+def test_no_return_says_nothing_in_rows_without_one_below_the_highest() -> None:
+    """A strip of returns high up: what is between it and the wall may be between the sensor's rings."""
+    low, strip = wall(6.0, high=1.8), wall(6.0, low=3.2, high=3.4)
+    for points, left in ((low, {}), (np.concatenate([low, strip]), {60: 1})):
+        columns: dict[tuple[int, int], Columns] = {}
+        put(columns, -6, 30, 0, {24: 1, 60: 1})
+        clear(columns, points, look((0.0, 0.0, 1.0), ALL_AROUND))
+        assert hits(columns, -6, 30) == left
 
 
 # --- exactness -------------------------------------------------------------------------------------------------------
