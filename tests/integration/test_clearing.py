@@ -227,7 +227,7 @@ def test_no_return_clears_only_in_a_declared_field_of_view(
 
 def test_no_return_says_nothing_in_rows_without_one_below_the_highest() -> None:
     """A strip of returns high up: what is between it and the wall may be between the sensor's rings."""
-    low, strip = wall(6.0, high=1.8), wall(6.0, low=3.2, high=3.4)
+    low, strip = wall(6.0, high=1.8), wall(6.0, low=5.5, high=5.7)
     for points, left in ((low, {}), (np.concatenate([low, strip]), {60: 1})):
         columns: dict[tuple[int, int], Columns] = {}
         put(columns, -6, 30, 0, {24: 1, 60: 1})
