@@ -49,7 +49,7 @@ def says(value: float, printed: str) -> bool:
 
 
 def built(model: str) -> RoughMap:
-    m = RoughMap(cell_size=0.1, coverage=2.0, error_model=model, threads=1)
+    m = RoughMap(cell_size=0.1, coverage=2.0, error_model=model, surface="all", threads=1)
     report = m.add(POINTS, None if model == "point" else COVARIANCE)
     assert (report.accepted, report.rejected) == (3, {})
     return m
@@ -74,7 +74,7 @@ def test_the_layers(model: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_one_by_one_gives_the_same_bytes(model: str) -> None:
-    m = RoughMap(cell_size=0.1, coverage=2.0, error_model=model, threads=1)
+    m = RoughMap(cell_size=0.1, coverage=2.0, error_model=model, surface="all", threads=1)
     for point, S in zip(POINTS, COVARIANCE, strict=True):
         m.add([point], S)
     assert m.digest() == built(model).digest()
