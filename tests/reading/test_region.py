@@ -113,7 +113,12 @@ def test_the_options_reach_the_layers(m: RoughMap) -> None:
     narrow, wide = (m.region(box, names, height_tolerance=d) for d in (0.01, 0.5))
     known = np.isfinite(narrow["confidence_level"]) & (narrow["confidence_level"] < 1.0)
     assert (narrow["confidence_level"][known] < wide["confidence_level"][known]).all()
-    strict, lax = (m.region(box, names, limits={"step": limit})["traversability"] for limit in (0.1, 10.0))
+    name, more = {
+        "all": ("step", {}),
+        # A step's limit says which neighbours a plane is fitted to as well.
+        "ground": ("roughness", {"slope": 1.5, "step": 10.0, "confidence": 0.1}),
+    }[m.settings.surface]
+    strict, lax = (m.region(box, names, limits={name: limit, **more})["traversability"] for limit in (0.1, 10.0))
     known = np.isfinite(strict)
     assert (strict[known] <= lax[known]).all()
     assert strict[known].mean() < 0.5 < lax[known].mean()
