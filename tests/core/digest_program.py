@@ -58,7 +58,7 @@ def digests(numbers_of_threads: tuple[int, ...] = (1, 2)) -> dict[str, str]:
         S += lower[:, :, None, m] * lower[:, None, :, m]
     for model in ("point", "cuboid", "ellipsoid"):
         for threads in numbers_of_threads:
-            with RoughMap(error_model=model, threads=threads) as m:
+            with RoughMap(error_model=model, threads=threads, surface="all") as m:
                 m.add_scan(scan, way, noise, rules)
                 m.add_scan(still, way, noise, rules)
                 found[f"{model}, scans, {threads}"] = m.digest()
@@ -68,7 +68,7 @@ def digests(numbers_of_threads: tuple[int, ...] = (1, 2)) -> dict[str, str]:
                     m.add(scan.points * (0.9, 0.9, 0.1 * again) + way.position[0], S, scan.stamp_ns, common=1e-4)
                     m.add_scan(still, way, noise, seen, clear=True)
                 found[f"{model}, ground, {threads}"] = m.digest()
-            with RoughMap(error_model=model, threads=threads) as m:
+            with RoughMap(error_model=model, threads=threads, surface="all") as m:
                 m.add(scan.points, S, scan.stamp_ns)
                 found[f"{model}, points, {threads}"] = m.digest()
     return found

@@ -18,8 +18,9 @@ from numba.core.dispatcher import Dispatcher
 import roughmap
 from roughmap import RoughMap, georeference, jit
 from roughmap.reading.cell_values import known_bits
-from roughmap.reading.layers import LAYERS
+from roughmap.reading.layers import layers_of
 from roughmap.reference.error_function import erf
+from roughmap.settings import SURFACES
 from roughmap.tiles.index import rehash
 from roughmap.tiles.slots import SlotPool
 
@@ -58,17 +59,21 @@ def exercise() -> None:
     rehash(np.empty(2, np.int32), np.zeros(1, np.uint64), 0)
     erf(np.zeros(1))
     corner = np.array([[0.05, 0.05, 1.0], [0.05, 0.05, 2.0], [3.05, 3.05, 2.0]])
-    with RoughMap(error_model="point", surface="ground") as m:
-        m.add(corner)
-        with m.freeze() as frozen:
-            known_bits(frozen.records(0, 0))
-            m.add(corner)  # on a copy of the tile
-        for level in (0, 2):
-            m.region((-1.0, -1.0, 4.0, 4.0), list(LAYERS), level=level)
-        m.forget([(0, 0)])
+    for surface in SURFACES:
+        with RoughMap(error_model="point", surface=surface) as m:
+            m.add(corner)
+            with m.freeze() as frozen:
+                known_bits(frozen.records(0, 0))
+                m.add(corner)  # on a copy of the tile
+            for level in (0, 2):
+                m.region((-1.0, -1.0, 4.0, 4.0), layers_of(surface), level=level)
+            m.forget([(0, 0)])
     pool, dense = SlotPool(), np.ones(1, np.bool_)
     pool.release(pool.allocate(1, dense))
-    pool.allocate(1, dense)  # the same slot again, cleared
+    slots = pool.allocate(1, dense)  # the same slot again, cleared
+    pool.take_columns(slots)
+    for _ in range(2):  # the second copy has the same column again, cleared
+        pool.release(pool.duplicate(slots))
 
 
 def room(text: str) -> str:

@@ -10,8 +10,25 @@ from properties import examples
 from strategies import MODELS, SECOND_NS, cells_of, clouds, seeds, state_of
 
 from roughmap import Noise, RoughMap, Scan, TooManyTiles, Trajectory
+from roughmap.settings import SURFACES
 
 S = np.eye(3) * 1e-4
+
+RING = {"all": 1, "ground": 5}
+"""Cells of 0.25 m and more around a tile that its layers depend on: a plane of 2, an overhang's window of 2, and 1."""
+
+
+def held_by(m: RoughMap) -> dict[tuple[int, int], bytes]:
+    """The known cells of a map with all that is kept of each, by (i, j)."""
+    found = {}
+    with m.freeze() as frozen:
+        for x, y in frozen.tiles.tolist():
+            state = frozen.state(x, y)
+            assert state is not None
+            for n in np.flatnonzero(state.cells["count"]).tolist():
+                parts = [plane[n].tobytes() for plane in state if plane is not None]
+                found[x * 64 + n % 64, y * 64 + n // 64] = b"".join(parts)
+    return found
 
 
 def sequences_of(m: RoughMap, level: int) -> dict[tuple[int, int], int]:
@@ -20,27 +37,34 @@ def sequences_of(m: RoughMap, level: int) -> dict[tuple[int, int], int]:
 
 
 @examples(60)
-@given(seed=seeds, model=st.sampled_from(MODELS), levels=st.sampled_from([1, 4, 26]), calls=st.integers(1, 6))
+@given(
+    seed=seeds,
+    model=st.sampled_from(MODELS),
+    surface=st.sampled_from(SURFACES),
+    levels=st.sampled_from([1, 4, 26]),
+    calls=st.integers(1, 6),
+)
 def test_sequences_are_those_of_the_last_change_in_the_tile_or_around_it(
-    seed: int, model: str, levels: int, calls: int
+    seed: int, model: str, surface: str, levels: int, calls: int
 ) -> None:
     """Compare all cells before and after each call, at every level, by brute force.
 
-    The sequence of a tile is that of the last change in its 66 x 66 cells. Points fall near tile borders of all levels
-    and elsewhere.
+    The sequence of a tile is that of the last change in its cells and its ring. Points fall near tile borders of all
+    levels and elsewhere.
     """
+    ring = RING[surface]
     rng = np.random.default_rng(seed)
     a = 0.25
-    m = RoughMap(cell_size=a, error_model=model, levels=levels, threads=1)
+    m = RoughMap(cell_size=a, error_model=model, surface=surface, levels=levels, threads=1)
     expected: list[dict[tuple[int, int], int]] = [{} for _ in range(levels)]
     before: dict[tuple[int, int], bytes] = {}
     for _ in range(calls):
         number = int(rng.integers(1, 6))
         tile = rng.choice([-4, -2, -1, 0, 1, 2, 3, 4, 8], (number, 2)) * 64
-        cells = tile + rng.choice([-9, -8, -2, -1, 0, 1, 7, 8, 31], (number, 2))
+        cells = tile + rng.choice([-9, -8, -6, -5, -2, -1, 0, 1, 4, 5, 7, 8, 31], (number, 2))
         points = np.column_stack([(cells + rng.uniform(0.0, 1.0, (number, 2))) * a, rng.normal(size=number)])
         report = m.add(points, S)
-        now = {place: cell.tobytes() for place, cell in cells_of(m).items()}
+        now = held_by(m)
         changed = np.array([place for place, cell in now.items() if before.get(place) != cell])
         before = now
         assert {tuple(t) for t in report.tiles.tolist()} == {tuple(t) for t in (changed >> 6).tolist()}
@@ -49,7 +73,7 @@ def test_sequences_are_those_of_the_last_change_in_the_tile_or_around_it(
             at_level = changed >> level
             for x, y in there:
                 first = np.array([x, y]) * 64
-                if ((at_level >= first - 1) & (at_level <= first + 64)).all(axis=1).any():
+                if ((at_level >= first - ring) & (at_level <= first + 63 + ring)).all(axis=1).any():
                     expected[level][x, y] = m.sequence
             assert sequences_of(m, level) == expected[level]
 
@@ -112,10 +136,10 @@ def by_scan(m: RoughMap, points: np.ndarray, **options: int) -> object:
 def test_too_many_tiles_come_before_any_cell(way_in: Callable[..., object]) -> None:
     """Three tiles are known and four more are needed, one only by a footprint; known cells change as well."""
     m = RoughMap(error_model="cuboid", threads=1)
-    known = np.array([(1.0, 1.0, 1.0), (7.0, 1.0, 1.0), (1.0, 7.0, 1.0)])
+    known = np.array([(1.0, 1.0, 0.1), (7.0, 1.0, 0.1), (1.0, 7.0, 0.1)])
     m.add(known, S)
     # Tiles (0, 0), (-1, 0), (-1, -1), then (3, 0) and, over its border, (2, 0).
-    more = np.array([(1.01, 1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0), (19.201, 1.0, 1.0)])
+    more = np.array([(1.01, 1.0, 0.1), (-1.0, 1.0, 0.1), (-1.0, -1.0, 0.1), (19.201, 1.0, 0.1)])
     before = state_of(m)
     for options, limit in (({"max_new_tiles": 3}, 3), ({"max_tiles": 6}, 3), ({"max_new_tiles": 0}, 0)):
         with pytest.raises(TooManyTiles) as caught:

@@ -139,12 +139,23 @@ def test_counts_stop_at_the_top() -> None:
 
 def test_heights_of_any_size() -> None:
     """Heights near the end of float64 are finite points: the cell must not become NaN in mean, min and max."""
-    m = RoughMap(cell_size=1.0, error_model="point", threads=1)
+    m = RoughMap(cell_size=1.0, error_model="point", surface="all", threads=1)
     m.add([(0.5, 0.5, 1e150), (0.5, 0.5, 1e150), (1.5, 0.5, -1e150), (1.5, 0.5, 1e150)])
     cells = cells_of(m)
     assert float(cells[0, 0]["mean"]) == 1e150
     assert float(cells[1, 0]["mean"]) == 0.0
     assert (float(cells[1, 0]["min"]), float(cells[1, 0]["max"])) == (-1e150, 1e150)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_no_ground_is_higher_than_10_000_km(model: str) -> None:
+    """The heights of bins are 32-bit numbers of 10 cm."""
+    m = RoughMap(cell_size=1.0, error_model=model, threads=1)
+    heights = np.array([1e7, -1e7, nextafter(1e7, inf), nextafter(-1e7, -inf), 1e150, -1e300])
+    points = np.column_stack([np.arange(6) + 0.5, np.full(6, 0.5), heights])
+    report = m.add(points, SMALL)
+    assert (report.accepted, report.rejected) == (2, {"bounds": 4})
+    assert {place: float(cell["mean"]) for place, cell in cells_of(m).items()} == {(0, 0): 1e7, (1, 0): -1e7}
 
 
 @pytest.mark.parametrize("height", [1e4, 1e6, 1e9, 1e12, 1e20, 1e100])

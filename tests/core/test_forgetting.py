@@ -10,7 +10,7 @@ from properties import examples
 from strategies import cells_of, seeds, state_of
 
 from roughmap import RoughMap
-from roughmap.reading.layers import LAYERS
+from roughmap.reading.layers import layers_of
 
 LEVELS = 4
 EVERYWHERE = (-400.0, -400.0, 400.0, 400.0)
@@ -27,9 +27,9 @@ def in_tiles(points: np.ndarray, gone: set[tuple[int, int]]) -> np.ndarray:
     return np.array([(int(x // 64), int(y // 64)) in gone for x, y, _ in points])
 
 
-def layers_of(m: RoughMap) -> list[Any]:
+def read_from(m: RoughMap) -> list[Any]:
     """Everything read at each level, without sequences and ages."""
-    names = [name for name in LAYERS if name != "age"]
+    names = [name for name in layers_of(m.settings.surface) if name != "age"]
     found: list[Any] = [cells_of(m)]
     for level in range(LEVELS):
         region = m.region(EVERYWHERE, names, level)
@@ -49,7 +49,7 @@ def test_what_stays_is_a_map_of_the_other_points(seed: int, rounds: int, read: b
         m.add(points, stamp_ns=number * SECOND)
         left = np.concatenate([left, np.column_stack([points, np.full(len(points), number)])])
         if read:
-            layers_of(m)
+            read_from(m)
         wanted = rng.integers(-7, 7, (int(rng.integers(1, 60)), 2))
         there = {tuple(tile) for tile in m.tile_sequences()[0].tolist()}
         gone = {tuple(tile) for tile in wanted.tolist()} & there
@@ -62,7 +62,7 @@ def test_what_stays_is_a_map_of_the_other_points(seed: int, rounds: int, read: b
         other.add(left[:, :3], stamp_ns=left[:, 3].astype(np.int64) * SECOND)
     assert (m.digest(), m.tile_count, m.extent()) == (other.digest(), other.tile_count, other.extent())
     assert m.newest_updated == other.newest_updated
-    assert layers_of(m) == layers_of(other)
+    assert read_from(m) == read_from(other)
     for level in range(LEVELS):
         assert m.tile_sequences(level)[0].tolist() == other.tile_sequences(level)[0].tolist()
 
@@ -117,14 +117,14 @@ def test_who_holds_a_frozen_map_keeps_the_tiles(seed: int, level: int) -> None:
 def test_points_prepared_before_tiles_were_forgotten() -> None:
     m = RoughMap(cell_size=1.0, error_model="point", threads=1)
     m.add([(0.5, 0.5, 1.0), (640.5, 0.5, 1.0)])
-    prepared = m.prepare_points([(640.5, 0.5, 2.0)])
+    prepared = m.prepare_points([(640.5, 0.5, 1.1)])
     assert m.forget([(5, 5)]) == 0
     m.integrate(prepared)
-    prepared = m.prepare_points([(640.5, 0.5, 2.0)])
+    prepared = m.prepare_points([(640.5, 0.5, 1.1)])
     assert m.forget([(0, 0)]) == 1
     with pytest.raises(ValueError, match="prepared last"):
         m.integrate(prepared)
-    m.add([(640.5, 0.5, 3.0)])
+    m.add([(640.5, 0.5, 1.2)])
     assert {place: int(cell["count"]) for place, cell in cells_of(m).items()} == {(640, 0): 3}
 
 

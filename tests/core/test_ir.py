@@ -13,7 +13,10 @@ import pytest
 
 @pytest.mark.timeout(1200)
 def test_no_instruction_of_any_kernel_may_be_rounded_otherwise() -> None:
-    """Neither `fast`, `contract` and their like, nor fused products, nor a function of the C library but `sqrt`."""
+    """Neither `fast`, `contract` and their like, nor fused products, nor a function of the C library but `sqrt`.
+
+    The oracle alone takes `erf` from there.
+    """
     made = subprocess.run(
         [sys.executable, str(Path(ir_program.__file__))],
         env={**os.environ, "NUMBA_OPT": "0"},
@@ -27,7 +30,7 @@ def test_no_instruction_of_any_kernel_may_be_rounded_otherwise() -> None:
     assert found["arithmetic"] > 500
     assert found["loose"] == []
     assert found["fused"] == []
-    assert not [name for name in found["c_library"] if not name.startswith(("reading: ", "reference: "))]
+    assert not [name for name in found["c_library"] if not name.startswith("reference: ")]
     assert found["not_compiled"] == [], "ir_program.exercise() must call these"
 
 

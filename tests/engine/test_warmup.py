@@ -47,6 +47,8 @@ def test_no_cloud_and_no_query_finds_a_kernel_uncompiled(model: str, surface: st
     before = compiled()
     assert before["roughmap.integration.blocks.scan_blocks"] > 0
     assert before["roughmap.integration.blocks.point_blocks"] > 0
+    if surface == "ground":
+        assert before["roughmap.integration.clearing.clear_tiles"] > 0
     settings = Settings(config)
     line = [Pose(k * 10**9, (0.0, 0.0, 0.0), UNTURNED, None, 1, 0) for k in (0, 1)]
     points = np.random.default_rng(0).uniform(-5.0, 5.0, (5000, 3))

@@ -136,7 +136,7 @@ def test_who_left_the_open_is_gone_with_a_declared_field_of_view() -> None:
 
 
 def test_a_map_of_all_points_has_nothing_to_clear() -> None:
-    with RoughMap(error_model="point") as m, RoughMap(error_model="point") as other:
+    with RoughMap(error_model="point", surface="all") as m, RoughMap(error_model="point", surface="all") as other:
         assert run(m) == [0] * 10
         run(other, clear=False)
         assert m.digest() == other.digest()

@@ -12,9 +12,9 @@ COVARIANCE = np.eye(3) * 1e-8
 """So precise that a point in the middle of a cell touches no other."""
 
 
-def make(cell_size: float, points: list[tuple[float, float, float]]) -> RoughMap:
-    """A map of these points."""
-    rough_map = RoughMap(cell_size=cell_size)
+def make(cell_size: float, points: list[tuple[float, float, float]], surface: str = "all") -> RoughMap:
+    """A map of these points, each of which makes its cell known."""
+    rough_map = RoughMap(cell_size=cell_size, surface=surface)
     if points:
         rough_map.add(np.array(points), COVARIANCE, 0)
     return rough_map
@@ -32,6 +32,17 @@ def test_a_map_beside_itself() -> None:
         assert (d.only_before, d.only_now) == (0, 0)
         if d.layer in ("mean_height", "count", "weight"):
             assert (d.cells, d.median_change, d.p95_abs_change) == (3, 0.0, 0.0)
+
+
+def test_what_is_unknown_in_one_of_them_is_only_in_the_other() -> None:
+    """Three cells hold points, but a lone return makes no known ground, and a roof 3 m over a ground is none."""
+    points = [(0.05, 0.05, 0.1), (0.05, 0.05, 0.1), (0.25, 0.05, 3.1), (0.25, 0.05, 3.1), (-7.05, 3.05, 0.2)]
+    ground = make(0.1, points, "ground")
+    found = of("mean_height", make(0.1, points), ground)
+    assert (found.cells, found.only_before, found.only_now) == (1, 2, 0)
+    found = of("count", ground, make(0.1, points, "ground"))
+    assert (found.cells, found.only_before, found.only_now) == (1, 0, 0)
+    assert {d.layer for d in compare(ground, ground)} >= {"roughness", "passable_share"}
 
 
 def test_heights_and_what_only_one_of_them_knows() -> None:

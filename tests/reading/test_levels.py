@@ -129,7 +129,7 @@ def grown_map(model: str, side: float, levels: int, seed: int) -> tuple[RoughMap
     covariance[:, [0, 1, 2], [0, 1, 2]] = spread**2
     covariance[:, 0, 1] = covariance[:, 1, 0] = mix
     stamp_ns = rng.integers(0, 10**12, 4000)
-    m = RoughMap(cell_size=side, error_model=model, min_share=0.0, levels=levels, threads=1)
+    m = RoughMap(cell_size=side, error_model=model, surface="all", min_share=0.0, levels=levels, threads=1)
     m.add(points, None if model == "point" else covariance, stamp_ns)
     return m, points
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from roughmap.map import RoughMap
 from roughmap.reading.layers import layers_of
 from roughmap.reading.region import MAX_CELLS, cell_box, read_region
-
-LAYERS = layers_of("all")
+from roughmap.settings import SURFACES
 
 
 def test_an_edge_within_rounding_of_a_border_lies_on_it() -> None:
@@ -56,11 +55,11 @@ def test_the_largest_box() -> None:
     assert (i1 - i0) * (j1 - j0) == MAX_CELLS
 
 
-@pytest.fixture
-def m() -> RoughMap:
+@pytest.fixture(params=SURFACES)
+def m(request: pytest.FixtureRequest) -> RoughMap:
     """Return ground with two thirds of the cells known, over tiles around the origin."""
     rng = np.random.default_rng(4)
-    m = RoughMap(cell_size=0.1, error_model="point", threads=1)
+    m = RoughMap(cell_size=0.1, error_model="point", surface=request.param, threads=1)
     points = np.column_stack((rng.uniform(-8.0, 8.0, (30000, 2)), rng.normal(0.0, 0.1, 30000)))
     m.add(points, stamp_ns=rng.integers(0, 10**11, 30000))
     return m
@@ -79,9 +78,10 @@ def test_the_region_itself(m: RoughMap) -> None:
         r["slope"]
 
 
-def test_row_0_lies_lowest() -> None:
-    m = RoughMap(cell_size=0.5, error_model="point", threads=1)
-    m.add([(0.7, 0.1, 5.0), (0.1, 1.2, 7.0)])
+@pytest.mark.parametrize("surface", SURFACES)
+def test_row_0_lies_lowest(surface: str) -> None:
+    m = RoughMap(cell_size=0.5, error_model="point", surface=surface, threads=1)
+    m.add([(0.7, 0.1, 5.0), (0.1, 1.2, 7.0)] * 2)
     r = m.region((0, 0, 1, 1.5), ["mean_height"])
     np.testing.assert_equal(r["mean_height"], [[nan, 5.0], [nan, nan], [7.0, nan]])
 
@@ -89,20 +89,21 @@ def test_row_0_lies_lowest() -> None:
 @pytest.mark.parametrize("level", [0, 1, 3])
 def test_any_box_shows_the_same_ground(m: RoughMap, level: int) -> None:
     """A small box shows the same as that part of a large box, including neighbours outside the small box."""
-    side = 0.1 * 2**level
-    whole = m.region((-12.8, -12.8, 12.8, 12.8), LAYERS, level=level)
+    side, names = 0.1 * 2**level, layers_of(m.settings.surface)
+    whole = m.region((-12.8, -12.8, 12.8, 12.8), names, level=level)
     n = round(12.8 / side)
     for i0, j0, i1, j1 in [(0, 0, 1, 1), (-1, -1, 1, 1), (-7, -n, 9, n), (-n, 3, n, 5)]:
-        part = m.region((i0 * side, j0 * side, i1 * side, j1 * side), LAYERS, level=level)
+        part = m.region((i0 * side, j0 * side, i1 * side, j1 * side), names, level=level)
         assert part.shape == (j1 - j0, i1 - i0)
-        for name in LAYERS:
+        for name in names:
             np.testing.assert_array_equal(part[name], whole[name][n + j0 : n + j1, n + i0 : n + i1], err_msg=name)
 
 
 def test_a_region_where_nothing_is_known(m: RoughMap) -> None:
+    names = layers_of(m.settings.surface)
     for box in [(1e3, 1e3, 1e3 + 1, 1e3 + 1), (1e12, -1e12, 1e12 + 1, -1e12 + 1), (0, 1e20, 1, 1e20 + 2e4)]:
-        r = m.region(box, LAYERS)
-        for name in LAYERS:
+        r = m.region(box, names)
+        for name in names:
             assert (r[name] == 0).all() if name in {"count", "weight"} else np.isnan(r[name]).all()
 
 
@@ -112,7 +113,12 @@ def test_the_options_reach_the_layers(m: RoughMap) -> None:
     narrow, wide = (m.region(box, names, height_tolerance=d) for d in (0.01, 0.5))
     known = np.isfinite(narrow["confidence_level"]) & (narrow["confidence_level"] < 1.0)
     assert (narrow["confidence_level"][known] < wide["confidence_level"][known]).all()
-    strict, lax = (m.region(box, names, limits={"step": limit})["traversability"] for limit in (0.1, 10.0))
+    name, more = {
+        "all": ("step", {}),
+        # A step's limit says which neighbours a plane is fitted to as well.
+        "ground": ("roughness", {"slope": 1.5, "step": 10.0, "confidence": 0.1}),
+    }[m.settings.surface]
+    strict, lax = (m.region(box, names, limits={name: limit, **more})["traversability"] for limit in (0.1, 10.0))
     known = np.isfinite(strict)
     assert (strict[known] <= lax[known]).all()
     assert strict[known].mean() < 0.5 < lax[known].mean()

@@ -62,7 +62,7 @@ def test_all_layers(
     # A cell whose share is within rounding of the smallest that counts may be in one map and not in the other.
     nearly = [BatchMap(points, covariance, min_share=min_share * f, **common)["count"] for f in (1 - 1e-8, 1 + 1e-8)]
     assume(len(nearly[0]) == len(nearly[1]) and (nearly[0] == nearly[1]).all())
-    m = RoughMap(min_share=min_share, threads=1, **common)
+    m = RoughMap(min_share=min_share, surface="all", threads=1, **common)
     accepted, rejected = 0, dict.fromkeys(b.rejected, 0)
     for part in np.split(np.arange(len(points)), sorted(cuts)):
         report = m.add(points[part], None if model == "point" else covariance[part], stamp_ns[part])
@@ -95,6 +95,6 @@ def test_the_same_covariance_for_all(model: str) -> None:
     rng = np.random.default_rng(9)
     points = rng.uniform(-2.0, 2.0, (2000, 3))
     S = np.array([[4.0, 1.0, 0.5], [1.0, 9.0, 0.0], [0.5, 0.0, 1.0]]) * 1e-4
-    m = RoughMap(error_model=model, threads=1)
+    m = RoughMap(error_model=model, surface="all", threads=1)
     m.add(points, S)
     compare(m, BatchMap(points, S, error_model=model), 2.0)
