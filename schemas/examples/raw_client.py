@@ -272,8 +272,8 @@ def drive(endpoint):
         found["same_input"] = receipts[0]["input"] == receipts[1]["input"]
         found["duplicates"] = [receipt["duplicate"] for receipt in receipts]
 
-        # One point that is already in the map's frame, published.
-        publisher(session, "points", POINTS)(cloud(t0, "map", np.array([[10.05, 0.05, 1.25]]), [0]))
+        # Two points that are already in the map's frame, published. One alone is not yet taken for ground.
+        publisher(session, "points", POINTS)(cloud(t0, "map", np.array([[10.05, 0.05, 1.25]] * 2), [0, 0]))
         decided = {}
         while len(decided) < 2:
             event = events.get(timeout=TIMEOUT_S)

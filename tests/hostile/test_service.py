@@ -54,8 +54,9 @@ class Target:
 
     def goes_on(self) -> MapStatus:
         turn = next(_times)
-        event = self.feed.decided(self.feed.cloud("other", T0 + turn * S, GROUND + 0.001 * turn, "map"))
-        assert event.accepted == len(GROUND)
+        points = np.repeat(GROUND + 0.001 * turn, 2, axis=0)  # one return alone is not yet ground
+        event = self.feed.decided(self.feed.cloud("other", T0 + turn * S, points, "map"))
+        assert event.accepted == len(points)
         region = self.feed.client.region((0.0, -1.0, 3.0, 1.0), ["mean_height"])
         assert np.isfinite(region["mean_height"]).any()
         status = self.feed.settle()
@@ -110,11 +111,26 @@ def test_points_beyond_all_maps(target: Target, far: float) -> None:
 
 
 def test_heights_beyond_all_measure(target: Target) -> None:
-    """A height whose square is no number is out of bounds; half as many digits spoil their cell alone."""
+    """Ground is within 10,000 km; all that is off it may come at once."""
+    spot, layers = [-50.05, 50.05], ["mean_height", "std_dev", "slope", "traversability"]
     with target.survives():
+        for far in (1e300, 1e149, 1.1e7):
+            outside = placed(target, np.array([[*spot, far], [*spot, -far]]))
+            assert outside == ("empty", 0, {"bounds": 2})
+        inside = np.array([[*spot, z] for z in (9.9e6, -9.9e6, 0.0, 0.0)])
+        assert placed(target, inside) == ("integrated", 4, {})
+        target.feed.client.region((-51.0, 49.0, -49.0, 51.0), layers)
+
+
+def test_heights_beyond_all_measure_in_a_map_of_all_points(tmp_path: Path) -> None:
+    """A height whose square is no number is out of bounds; half as many digits spoil their cell alone."""
+    with running(tmp_path, map={"surface": "all"}) as (service, feed):
+        target = Target(service, feed, 0)
+        target.resident = target.memory()
         assert placed(target, np.array([[-50.05, 50.05, 1e300], [-50.05, 50.05, -1e300]]))[:2] == ("empty", 0)
         assert placed(target, np.array([[-50.05, 50.05, 1e149], [-50.05, 50.05, -1e149]]))[1] == 2
-        target.feed.client.region((-51.0, 49.0, -49.0, 51.0), ["mean_height", "std_dev", "slope", "traversability"])
+        feed.client.region((-51.0, 49.0, -49.0, 51.0), ["mean_height", "std_dev", "slope", "traversability"])
+        target.goes_on()
 
 
 def test_a_point_a_tile_over_a_million_tiles(target: Target) -> None:

@@ -13,7 +13,7 @@ from roughmap import RoughMap
 from roughmap_schemas import CheckpointEvent, IntegrationEvent, Receipt, decode_cloud, encode_cloud
 
 PLACED = np.eye(3) * (0.02 * 0.02)
-"""The covariance of a placed point by default: input.placed_sigma^2."""
+"""The covariance of a placed point by default: input.placed_sigma^2. All points of a cloud may err by it together."""
 
 
 def cloud(number: int) -> bytes:
@@ -29,7 +29,7 @@ def built(log: Path) -> RoughMap:
     for event in events_in(log):
         if isinstance(event, IntegrationEvent) and event.outcome == "integrated":
             taken = decode_cloud(inputs[event.input - 1], max_message=1 << 20, max_points=1 << 20)
-            rough_map.add(taken.points, PLACED, taken.stamp_ns)
+            rough_map.add(taken.points, PLACED, taken.stamp_ns, common=PLACED[2, 2])
     return rough_map
 
 

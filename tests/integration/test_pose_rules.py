@@ -40,8 +40,8 @@ def height(feed: Feed, x: float, y: float) -> float:
 
 
 def scan(feed: Feed, robot: str, stamp_ns: int) -> str:
-    """One point, a metre ahead and a metre down; the outcome."""
-    return str(feed.decided(feed.cloud(robot, stamp_ns, np.array([[1.0, 0.0, -1.0]]))).outcome)
+    """Two returns from one spot, a metre ahead and a metre down: one alone is not yet ground. The outcome."""
+    return str(feed.decided(feed.cloud(robot, stamp_ns, np.array([[1.0, 0.0, -1.0]] * 2))).outcome)
 
 
 def test_of_two_poses_of_one_stamp_the_first_wins(both: Running) -> None:

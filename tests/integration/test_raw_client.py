@@ -50,8 +50,8 @@ def test_the_raw_client(tmp_path: Path) -> None:
     assert told["region"]["origin"] == [0.6, -0.9]
     assert told["region"]["largest_height"] < 1e-6, "the ground is flat, at 0"
     first, second = told["cells"]
-    assert (first["i"], first["j"], first["state"]["count"]) == (100, 0, 1)
-    assert first["layers"] == {"mean_height": 1.25, "std_dev": None}
+    assert (first["i"], first["j"], first["state"]["count"]) == (100, 0, 2)
+    assert first["layers"] == {"mean_height": 1.25, "std_dev": 0.0}
     assert (second["state"], second["layers"]["mean_height"]) == (None, None)
     assert told["refused"] == "bad_bbox"
     assert told["updates_applied"]
