@@ -1,6 +1,8 @@
 """The digest, computed independently from the state as the contract defines it."""
 
 import struct
+import sys
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from strategies import MODELS, clouds
 from roughmap import CELL_DTYPE, RoughMap
 from roughmap.cell import COLUMN_DTYPE, TRUST_DTYPE
 from roughmap.tiles import table as tiles
+from roughmap.tiles.shelf import Shelf
 from roughmap.tiles.state import TileState
 
 CELL = ("count", "updated", "weight", "weight_sq", "mean", "m2", "min", "max", "inv_cf")
@@ -202,3 +205,43 @@ def test_only_what_has_changed_is_digested(monkeypatch: pytest.MonkeyPatch) -> N
         made.clear()
         assert m.digest() == m.digest() == by_the_contract(m)
         assert len(made) == number
+
+
+class Shelved(Shelf):
+    """A shelf with room for any number of tiles, none of which is read."""
+
+    def _grow(self) -> None:
+        self._extend(1 << 20)
+
+
+def work_of_a_digest(number: int, changed: int) -> tuple[int, int]:
+    """Return the calls and the most bytes that the digest of a map of ``number`` tiles takes after some changed."""
+    shelf, numbers = Shelved(), np.arange(number, dtype=np.int32)
+    digests = np.random.default_rng(number).integers(0, 256, (number, 16), np.uint8)
+    with RoughMap(cell_size=1.0, error_model="point", levels=1, threads=1, shelf=shelf) as m:
+        stamps = np.zeros(number, np.int64)
+        m.load_shelved(numbers // 1000, numbers % 1000, stamps, stamps, digests, shelf.allocate(number))
+        places = [(-64.0 * n - 1.0, 1.0, 1.0) for n in range(changed)]
+        m.add(places)
+        first = m.digest()
+        m.add(places)
+        calls: list[str] = []
+        tracemalloc.start()
+        sys.setprofile(lambda _frame, event, _argument: calls.append(event))
+        try:
+            assert m.digest() != first
+        finally:
+            sys.setprofile(None)
+            most = tracemalloc.get_traced_memory()[1]
+            tracemalloc.stop()
+    return len(calls), most
+
+
+def test_what_a_digest_costs_does_not_depend_on_the_number_of_tiles() -> None:
+    """The same calls for a thousand tiles and a million, and no array with a byte for each; more for more changes."""
+    work_of_a_digest(1, 5)  # what is imported or cached at first
+    few, _ = work_of_a_digest(1_000, 5)
+    many, most = work_of_a_digest(1_000_000, 5)
+    assert few == many
+    assert most < 100_000
+    assert work_of_a_digest(1_000, 10)[0] > few
