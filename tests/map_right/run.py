@@ -31,6 +31,10 @@ MODELS = ("cuboid", "ellipsoid", "point")
 FIRST = MODELS[0]
 """The one by which what is put in is judged: it is the default."""
 
+CELLS = 160_000
+"""Of each kind of ground and pose error. All cells of a tile share the errors of its poses, so that with a tenth of
+these cells the share that held is known to no better than the 3 points that it may be off."""
+
 
 def say(text: str) -> None:
     """Progress, on standard error."""
@@ -52,7 +56,7 @@ class Judge:
             "strays": self.of_strays,
             "people": self.of_people,
             "placed": lambda: right_placements.rows(self.seed, self.placed, FIRST),
-            "confidence": lambda: right_confidence.rows(self.seed, 20_000),
+            "confidence": lambda: right_confidence.rows(self.seed, CELLS),
         }
 
     def of_hall(self) -> list[Row]:
