@@ -286,7 +286,7 @@ class RoughMap:
     def forget(self, tiles: npt.ArrayLike) -> int:
         """Remove level-0 tiles, given as (T, 2) tile numbers, and return how many of them the map had.
 
-        If it had any, the sequence increases by 1, and so it does for the tiles around and above them. Open frozen maps
+        If it had any, the map's sequence increases by 1, and the tiles around and above them get it. Open frozen maps
         keep their cells. ValueError for anything but (T, 2) integers.
         """
         entries = self._table.levels[0].find_present(tiles)

@@ -85,7 +85,7 @@ DEFAULT_LIMITS = {
 }
 
 MAX_CLEARANCE = 2.5
-"""Metres; columns end 3 m above the ground."""
+"""Metres. Columns end 2.8 m above the ground, or a little higher."""
 
 PaperLimits = tuple[float, float, float, float, float]
 """One limit for each of those of the surface "all"; inf if it is not used."""
