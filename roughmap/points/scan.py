@@ -100,8 +100,8 @@ class Limits:
     ymin, zmin, xmax, ymax, zmax in the robot's frame.
 
     ``fov``, the sensor's field of view, rejects nothing. In it, nothing stands in a direction without a return if the
-    scan has returns at about that elevation, or none higher (`RoughMap.add_scan` with ``clear``). Degrees up and down in
-    [0, 90], left and right in [0, 180], from the sensor's x axis. None: a direction without a return says nothing.
+    scan has returns at about that elevation, or none higher (`RoughMap.add_scan` with ``clear``). Degrees up and down
+    in [0, 90], left and right in [0, 180], from the sensor's x axis. None: a direction without a return says nothing.
     """
 
     min_range: float = 0.0
