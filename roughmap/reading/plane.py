@@ -34,7 +34,7 @@ W, WX, WXX, WZ, WXZ, WZZ, CELLS, WY, WXY, WYY, WYZ, SCATTER, FREE = range(0, SUM
 
 
 @dataclass(frozen=True)
-class Planes:
+class PlaneLayers:
     """Layers of a tile, each (64, 64) float64, NaN where unknown. Without a plane there is a step height alone."""
 
     gradient_x: F8
@@ -218,7 +218,7 @@ def _geometry(radius: int, side: float, slope: float, step: float) -> tuple[F8, 
     return most, np.array(near, np.int64), np.array(far, np.int64).reshape(-1, 2)
 
 
-def planes(height: F8, halo: Halo, side: float, slope: float, step: float) -> Planes:
+def planes(height: F8, halo: Halo, side: float, slope: float, step: float) -> PlaneLayers:
     """Return the layers of a tile from what is around it.
 
     ``height`` (64 + 2 r, 64 + 2 r): known ground, infinite elsewhere, r <= 6. ``side``: of a cell, metres. A plane
@@ -238,4 +238,4 @@ def planes(height: F8, halo: Halo, side: float, slope: float, step: float) -> Pl
     room = np.empty((2, SUMS))
     _fit(cells.reshape(-1), side, most, room[0], room[1], out)
     _drop(cells.reshape(-1), radius, side, near, far, room[0, :TILE_CELLS], out)
-    return Planes(*out)
+    return PlaneLayers(*out)
