@@ -92,7 +92,7 @@ class FrozenTiles:
             left.unpin(slots)
 
         base = table.levels[0]
-        # Above level 0, whether ground is confirmed is read from level 0, in the ring too, which needs a ring of its own.
+        # Above level 0, whether ground is confirmed is read from level 0. The ring's cells, too, need a ring for that.
         entries = table.select(_ring(box, level, 0, more=int(surface == "ground" and level > 0)))
         if after >= 0:
             entries = entries[base.sequence[entries] > after]
