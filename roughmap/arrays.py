@@ -14,7 +14,7 @@ U2 = npt.NDArray[np.uint16]
 U8 = npt.NDArray[np.uint64]
 Flags = npt.NDArray[np.bool_]
 Records = npt.NDArray[np.void]
-"""Arrays of CELL_DTYPE."""
+"""Arrays of CELL_DTYPE, TRUST_DTYPE or COLUMN_DTYPE."""
 
 Scalar = Any
 """A number, tuple or array inside a kernel; numba infers its type."""

@@ -51,7 +51,10 @@ floor(stamp / 1e6) modulo 2^32 of the newest update.
 """
 
 COLUMN_BINS = 80
-"""Height bins of a column, of 0.05 m each: a nibble each, the lower half of a byte first."""
+"""Height bins of a column: a nibble each, the lower half of a byte first."""
+
+BIN_HEIGHT = 0.05
+"""Height of a bin, metres."""
 
 COLUMN_DTYPE = np.dtype(
     [

@@ -24,7 +24,7 @@ from roughmap.tiles import loading
 from roughmap.tiles.changes import rings
 from roughmap.tiles.digest import map_digest
 from roughmap.tiles.eviction import Eviction
-from roughmap.tiles.index import TILE_LIMIT, TileBox, TileVersions, paired
+from roughmap.tiles.index import TileBox, TileVersions, paired
 from roughmap.tiles.shelf import Shelf
 from roughmap.tiles.state import TileState
 from roughmap.tiles.table import ReaderLock, TileTable
@@ -37,7 +37,7 @@ class RoughMap:
 
     ``cell_size``: metres. ``error_model``: "point", "cuboid" or "ellipsoid". ``coverage``: half extent of the error
     body in sigmas. ``min_radius``: smallest half extent, metres. ``min_distance``: smallest distance in eq. 16, metres.
-    ``surface``: "ground", where cells hold the ground alone and columns what is above and below it; or "all", where
+    ``surface``: with "ground", cells hold the ground alone, and columns hold what is above and below it; with "all",
     cells hold every point. ``min_share``: a cell counts if its share is at least this fraction of the point's largest
     share. ``max_horizontal_radius`` (half extent) and ``max_vertical_sigma`` (standard deviation): metres, beyond which
     a point is too uncertain. ``bounds``: (xmin, ymin, xmax, ymax) metres, half-open. ``levels``: number of levels,
@@ -70,18 +70,10 @@ class RoughMap:
         shelf: Shelf | None = None,
     ) -> None:
         self.settings = MapSettings(
-            cell_size=cell_size,
-            error_model=error_model,
-            coverage=coverage,
-            min_radius=min_radius,
-            min_distance=min_distance,
-            min_share=min_share,
-            max_horizontal_radius=max_horizontal_radius,
-            max_vertical_sigma=max_vertical_sigma,
-            bounds=bounds,
-            levels=levels,
-            surface=surface,
-        )
+            cell_size=cell_size, error_model=error_model, coverage=coverage, min_radius=min_radius,
+            min_distance=min_distance, min_share=min_share, max_horizontal_radius=max_horizontal_radius,
+            max_vertical_sigma=max_vertical_sigma, bounds=bounds, levels=levels, surface=surface,
+        )  # fmt: skip
         threads = numba.config.NUMBA_NUM_THREADS if threads is None else threads  # type: ignore[attr-defined]
         if not isinstance(threads, int) or not 1 <= threads <= 256:
             raise ValueError(f"threads: expected an integer in [1, 256] or None, got {threads!r}")
@@ -126,17 +118,17 @@ class RoughMap:
         tx, ty, sequence = self._table.levels[level].select(box)
         return paired(tx, ty), sequence
 
-    def tile_stamps(self) -> tuple[I4, I8]:
-        """Return the (T, 2) level-0 tiles, ascending by (x, y), and the (T,) newest stamp of each, in ns."""
-        base = self._table.levels[0]
-        entries = base.entries(None)
-        return paired(base.tx[entries], base.ty[entries]), self._table.newest_ns[entries]
-
     def changed_tiles(self, level: int, after: int) -> tuple[I4, I8]:
         """Return the same for the tiles whose sequence is larger than ``after``."""
         index = self._table.levels[level]
         entries = index.changed(after)
         return paired(index.tx[entries], index.ty[entries]), index.sequence[entries]
+
+    def tile_stamps(self) -> tuple[I4, I8]:
+        """Return the (T, 2) level-0 tiles, ascending by (x, y), and the (T,) newest stamp of each, in ns."""
+        base = self._table.levels[0]
+        entries = base.entries(None)
+        return paired(base.tx[entries], base.ty[entries]), self._table.newest_ns[entries]
 
     def tile_versions(self) -> list[TileVersions]:
         """Return the current tiles and sequences of each level, to be read while the map changes."""
@@ -172,9 +164,10 @@ class RoughMap:
         ``covariance``: (N, 3, 3), or (3, 3) for all points, in square metres and map axes; only the upper triangle is
         used. Required unless the model is "point", which ignores it. ``stamp_ns``: one integer or (N,), in [0, 2^32 s).
         ``offsets_ns`` (N,): added to the stamps; a point with an offset below 0 or above 1 s is rejected as `time`.
-        ``common``, ``mount``: one variance or (N,), square metres, of the heights from their poses, whose errors stay
-        alike for ``pose_error_time`` seconds, and from the mounting (None: 0; so do negative ones count). ``up`` (N,):
-        points that can't be ground, since their beams rise steeply (None: none). `georeference` tells all three.
+        ``common``, ``mount``: the parts of the heights' variances that come from the poses and from the mounting, one
+        number or (N,), in square metres (None: 0); negative ones count as 0. ``pose_error_time``: seconds over which
+        errors of the poses stay alike. ``up``, one or (N,): whether a point's beam rose too steeply to end on the
+        ground (None: no). `georeference` returns ``common``, ``mount`` and ``up``.
         `TooManyTiles`, with no cell written, if the call would create more than ``max_new_tiles`` tiles or the map
         would have more than ``max_tiles``.
         """
@@ -197,9 +190,9 @@ class RoughMap:
     ) -> AddReport:
         """Place a scan (eq. 1) and add its points. The result equals `georeference` followed by `add`, to the bit.
 
-        The points are processed in blocks, without an array of all covariances. ``clear``: then halve the hits above
-        and below the ground, near the sensor, that the scan saw through; in a map of the ground only, and not more
-        often than the scene changes. ``max_new_tiles``, ``max_tiles``: as in `add`.
+        The points are processed in blocks, without an array of all covariances. ``clear``: then halve the hits off the
+        ground, near the sensor, that the scan saw through. With the surface "all" it does nothing. Each scan halves
+        again: a scan every 0.2 s is enough. ``max_new_tiles``, ``max_tiles``: as in `add`.
         """
         prepared = self.prepare_scan(
             scan, trajectory, noise, limits, clear=clear, max_new_tiles=max_new_tiles, max_tiles=max_tiles
@@ -291,19 +284,12 @@ class RoughMap:
         self.sequence = sequence
 
     def forget(self, tiles: npt.ArrayLike) -> int:
-        """Remove level-0 tiles, (T, 2) of their numbers, and return how many the map had.
+        """Remove level-0 tiles, given as (T, 2) tile numbers, and return how many of them the map had.
 
-        If it had one, the sequence increases by 1, for the neighbours of these tiles and the levels above too. Open
-        frozen maps keep their cells. ValueError for anything but (T, 2) integers.
+        If it had any, the map's sequence increases by 1, and the tiles around and above them get it. Open frozen maps
+        keep their cells. ValueError for anything but (T, 2) integers.
         """
-        wanted = np.asarray(tiles)
-        if wanted.size == 0:
-            return 0
-        if wanted.ndim != 2 or wanted.shape[1] != 2 or wanted.dtype.kind not in "iu":
-            raise ValueError(f"tiles: expected (T, 2) integers, got {wanted.dtype} of shape {wanted.shape}")
-        wanted = wanted[((wanted >= -TILE_LIMIT) & (wanted < TILE_LIMIT)).all(axis=1)].astype(np.int32)
-        entries = np.unique(self._table.levels[0].find_each(wanted[:, 0], wanted[:, 1]))
-        entries = entries[entries >= 0]
+        entries = self._table.levels[0].find_present(tiles)
         if not len(entries):
             return 0
         self._table.forget(entries, self.sequence + 1)
@@ -370,16 +356,9 @@ class RoughMap:
         """
         self._check_level(level)
         return FrozenMap(
-            self._table,
-            self._cache,
-            surface=self.settings.surface,
-            level=level,
-            box=box,
-            after=after,
-            cell_size=self.cell_size,
-            sequence=self.sequence,
-            newest_updated=self.newest_updated,
-        )
+            self._table, self._cache, surface=self.settings.surface, level=level, box=box, after=after,
+            cell_size=self.cell_size, sequence=self.sequence, newest_updated=self.newest_updated,
+        )  # fmt: skip
 
     def region(
         self,

@@ -19,9 +19,14 @@ _INT_MIN, _INT_MAX = -(1 << 31), (1 << 31) - 1
 MAX_LEVELS = 26
 """At level 25 the 2^26 tiles along an axis are reduced to two."""
 
-
 SURFACES = ("all", "ground")
 """What cells hold: every point, as in the paper; or the ground, with a column for what is above and below it."""
+
+
+def ground_band(side: float) -> float:
+    """Return how far heights of one ground may differ in a cell, or between neighbours, of this side; metres."""
+    return max(0.15, 0.6 * side)
+
 
 Rules = tuple[int, float, tuple[float, ...], tuple[int, ...], tuple[float, ...], float, bool]
 """The settings as the kernels take them: model, cell_size, area with height_max, window, error, min_share,
@@ -85,7 +90,7 @@ class MapSettings:
     @property
     def band(self) -> float:
         """Metres by which a point may be off the mean height of the ground that it belongs to."""
-        return max(0.15, 0.6 * self.cell_size)
+        return ground_band(self.cell_size)
 
     @property
     def area(self) -> tuple[float, float, float, float]:

@@ -1,8 +1,8 @@
 """Clearing: what a scan saw through is no longer there.
 
-Hits in the columns of cells stay, also those of people who walked on. A scan takes them away again: of each occupied
-bin near the sensor it is asked whether the scan saw past it, and if so, its hits are halved. The points of the scan
-have been added by then, so that what is still there has new hits, and blocks the view.
+Hits in the columns of cells stay, even those of people who have walked on. A scan takes them away again: if it saw past
+an occupied bin near the sensor, the hits of that bin are halved. The scan's own points have been added by then: what is
+still there has new hits, and blocks the view.
 """
 
 import math
@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from roughmap.arrays import F4, I4, I8, U1, U8, Scalar
-from roughmap.cell import BASED, COLUMN_DTYPE, TILE_CELLS, TILE_SHIFT
-from roughmap.integration.range_image import COLUMNS, RESOLUTION, ROWS, column_of, look_around, range_image, row_of
-from roughmap.integration.view import View, is_inside, view_of
+from roughmap.cell import BASED, BIN_HEIGHT, COLUMN_DTYPE, TILE_CELLS, TILE_SHIFT
+from roughmap.integration.range_image import AZIMUTHS, RESOLUTION, ROWS, azimuth_of, look_around, range_image, row_of
+from roughmap.integration.viewpoint import Viewpoint, is_inside, viewpoint_of
 from roughmap.integration.workspace import Planes, ThreadScratch, Workspace
 from roughmap.intrinsics import trailing_zeros
 from roughmap.jit import inline, kernel
@@ -24,15 +24,14 @@ from roughmap.tiles.slots import words
 from roughmap.tiles.table import TileTable
 
 REACH = 1.0 / RESOLUTION
-"""Distance in cells up to which a cell is at least as wide as a pixel."""
+"""Distance, in cells, up to which a cell is at least as wide as a pixel of the range image."""
 
 _NEAREST = 0.5
 """Cells nearer than this are under the sensor or beside it, metres."""
 
 _MARGIN = 0.3
-"""What is seen no further than this behind a bin may be the same thing, metres."""
+"""What is seen no farther than this behind a bin may be the same thing, metres."""
 
-_BIN = 0.05
 _WORDS = COLUMN_DTYPE.itemsize // 8
 _BASED = np.uint64(BASED << 16)
 _FIRST_BINS = 3
@@ -42,7 +41,6 @@ _FOURS = np.uint64(60)
 _TWO = np.uint64(2)
 _NIBBLE = np.uint64(15)
 _ONE = np.uint64(1)
-_HIGH = np.uint64(32)
 
 
 class Look(NamedTuple):
@@ -56,10 +54,10 @@ class Look(NamedTuple):
 class Sight(NamedTuple):
     """What a scan saw; overwritten when the next one is prepared.
 
-    ``view``: from where. ``clear_to``, ``rows``: see `look_around`. ``entries``: the tiles of the map within reach.
+    ``viewpoint``: from where. ``clear_to``, ``rows``: see `look_around`. ``entries``: the map's tiles within reach.
     """
 
-    view: View
+    viewpoint: Viewpoint
     clear_to: F4
     rows: U1
     entries: I4
@@ -73,20 +71,20 @@ def prepare_clearing(look: Look, planes: Planes, table: TileTable, a: float, spa
     """
     number = len(look.scan.points)
     reason = planes.reason[:number]
-    view = view_of(look.scan, look.trajectory, look.limits, reason)
+    viewpoint = viewpoint_of(look.scan, look.trajectory, look.limits, reason)
     image, clear_to, rows = space.image
     image.fill(np.inf)
-    range_image(planes.x[:number], planes.y[:number], planes.z[:number], reason, view.origin, image)
+    range_image(planes.x[:number], planes.y[:number], planes.z[:number], reason, viewpoint.origin, image)
     look_around(image, clear_to, rows)
-    return Sight(view, clear_to, rows, _within_reach(table, view, a))
+    return Sight(viewpoint, clear_to, rows, _within_reach(table, viewpoint, a))
 
 
-def _within_reach(table: TileTable, view: View, a: float) -> I4:
+def _within_reach(table: TileTable, viewpoint: Viewpoint, a: float) -> I4:
     """Return the entries of the tiles that may have a cell within reach, ascending by (tx, ty)."""
     box = []
     for sign in (-1.0, 1.0):
         for k in range(2):
-            tile = (view.origin[k] / a + sign * (REACH + 1.0)) / TILE_CELLS
+            tile = (viewpoint.origin[k] / a + sign * (REACH + 1.0)) / TILE_CELLS
             box.append(math.floor(min(max(-TILE_LIMIT, tile), TILE_LIMIT - 1)))
     return table.select((box[0], box[1], box[2], box[3]))
 
@@ -107,7 +105,7 @@ def clear(sight: Sight, table: TileTable, a: float, space: Workspace, sequence: 
     All tiles within reach must be in memory, and those with a column writable.
     """
     base = table.levels[0]
-    near = _within_reach(table, sight.view, a)  # again: some tiles are new
+    near = _within_reach(table, sight.viewpoint, a)  # again: some tiles are new
     table.used[near] = sequence
     entries = with_columns(table, near)
     number = len(entries)
@@ -116,7 +114,7 @@ def clear(sight: Sight, table: TileTable, a: float, space: Workspace, sequence: 
     parts = max(1, min(space.threads, number))
 
     def work(part: int, _: ThreadScratch) -> None:
-        clear_tiles(part, parts, address, tx, ty, a, sight.view, sight.clear_to, sight.rows, bits, cleared)
+        clear_tiles(part, parts, address, tx, ty, a, sight.viewpoint, sight.clear_to, sight.rows, bits, cleared)
 
     space.run(parts, work)
     changed = cleared > 0
@@ -126,9 +124,11 @@ def clear(sight: Sight, table: TileTable, a: float, space: Workspace, sequence: 
 
 
 @inline
-def _clear_column(column: U8, at: Scalar, x: Scalar, y: Scalar, d: Scalar, far: F4, view: Scalar, rows: U1) -> Scalar:
+def _clear_column(
+    column: U8, at: Scalar, x: Scalar, y: Scalar, d: Scalar, far: F4, viewpoint: Scalar, rows: U1
+) -> Scalar:
     """Halve the bins of the column at word ``at`` that were seen through; return their number."""
-    origin, axes, edges = view
+    origin, axes, edges = viewpoint
     declared = edges[0]
     base = np.int64(column[at + 2]) >> 32
     number = 0
@@ -142,7 +142,7 @@ def _clear_column(column: U8, at: Scalar, x: Scalar, y: Scalar, d: Scalar, far: 
             hits = (bins >> shift) & _NIBBLE
             bins &= ~(_NIBBLE << shift)
             k = (word - _FIRST_BINS) * 16 + np.int64(shift >> _TWO)
-            z = (float(2 * base + k) + 0.5) * _BIN - origin[2]
+            z = (float(2 * base + k) + 0.5) * BIN_HEIGHT - origin[2]
             row = row_of(z, d)
             if not (row >= 1.0 and row < ROWS - 1):
                 continue
@@ -161,7 +161,7 @@ def _clear_column(column: U8, at: Scalar, x: Scalar, y: Scalar, d: Scalar, far: 
 
 @kernel
 def clear_tiles(
-    part: int, parts: int, address: U8, tx: I4, ty: I4, a: float, view: Scalar, clear_to: F4, rows: U1, bits: U8,
+    part: int, parts: int, address: U8, tx: I4, ty: I4, a: float, viewpoint: Scalar, clear_to: F4, rows: U1, bits: U8,
     cleared: I8,
 ) -> None:  # fmt: skip
     """Clear every ``parts``-th tile, from ``part`` on.
@@ -169,7 +169,7 @@ def clear_tiles(
     ``address`` (T,): of the tiles' columns. ``bits`` (T, 64) receives a bit for each changed cell, rows along y;
     ``cleared`` (T,) the number of halved bins.
     """
-    origin = view[0]
+    origin = viewpoint[0]
     reach = a / RESOLUTION
     for n in range(part, len(address), parts):
         column = words(address[n])
@@ -189,8 +189,8 @@ def clear_tiles(
                 d = math.sqrt(x * x + y * y)
                 if not (d >= _NEAREST and d <= reach):
                     continue
-                u = min(np.int64(column_of(x, y)), np.int64(COLUMNS - 1))
-                number = _clear_column(column, at, x, y, d, clear_to[u], view, rows)
+                u = min(np.int64(azimuth_of(x, y)), np.int64(AZIMUTHS - 1))
+                number = _clear_column(column, at, x, y, d, clear_to[u], viewpoint, rows)
                 if number:
                     total += number
                     changed |= _ONE << np.uint64(i)

@@ -99,9 +99,9 @@ class Limits:
     at most ``max_pose_gap`` seconds apart. The point must lie outside every box of ``exclude``: closed boxes xmin,
     ymin, zmin, xmax, ymax, zmax in the robot's frame.
 
-    ``fov`` rejects nothing: where a sensor with this field of view has no return, nothing stands in its way
-    (`RoughMap.add_scan` with ``clear``). Degrees up and down in [0, 90], left and right in [0, 180], about the sensor's
-    x axis. None: no return says nothing.
+    ``fov``, the sensor's field of view, rejects nothing. In it, nothing stands in a direction without a return if the
+    scan has returns at about that elevation, or none higher (`RoughMap.add_scan` with ``clear``). Degrees up and down
+    in [0, 90], left and right in [0, 180], from the sensor's x axis. None: a direction without a return says nothing.
     """
 
     min_range: float = 0.0

@@ -21,8 +21,8 @@ UNKNOWN_TRUST.flags.writeable = False
 class FrozenMap(FrozenTiles):
     """The tiles of one level as they were when the map was frozen, and the layers over them.
 
-    A map of the ground tells heights only where the ground is known, and which cells those are depends on the limits'
-    clearance: a roof is ground to who drives on it.
+    A map of the ground has heights only where the ground is known, and that depends on the limit ``clearance``: what is
+    higher than that above other ground near it hangs over it.
     """
 
     def check(
@@ -61,7 +61,7 @@ class FrozenMap(FrozenTiles):
         if self.surface == "ground":
             terrain, known = self._ground_layers(x, y, wanted, tolerance, limits)
             for name, plane in found.items():
-                plane[~known] = 0.0 if name in layers.ZERO_WHERE_UNKNOWN else np.nan
+                plane[~known] = layers.unknown_value(name)
             found |= terrain
         elif not wanted <= found.keys():
             found |= all_points.neighbour_layers(self, x, y, names, tolerance, layers.check_limits(limits))
@@ -84,7 +84,7 @@ class FrozenMap(FrozenTiles):
             packed = packed_cell_layers(self.records(x, y), names, float(height_tolerance), self.newest_updated)
             if self.surface == "ground":
                 _, known = self._ground_layers(x, y, frozenset(), float(height_tolerance), limits)
-                packed[~known] = [0.0 if name in layers.ZERO_WHERE_UNKNOWN else np.nan for name in names]
+                packed[~known] = [layers.unknown_value(name) for name in names]
             return packed
         packed = np.empty((*SHAPE, len(names)), np.float32)
         with np.errstate(over="ignore"):

@@ -14,7 +14,7 @@ from roughmap.reading import levels
 from roughmap.reading.halo import Neighbour, fine_neighbour
 from roughmap.reading.merge_cache import MergeCache, Sized
 from roughmap.tiles.digest import tile_digest
-from roughmap.tiles.index import TILE_LIMIT, TileBox
+from roughmap.tiles.index import TILE_LIMIT, TileBox, packed
 from roughmap.tiles.state import TileState
 from roughmap.tiles.table import TileTable
 
@@ -31,19 +31,15 @@ class _SortedTiles:
         self.x = x
         self.y = y
         self.sequence = sequence
-        self._packed = self._pack(x, y)
-
-    @staticmethod
-    def _pack(x: I4, y: I4) -> I8:
-        return (x.astype(np.int64) << 32) + y
+        self._packed = packed(x, y)
 
     def find(self, x: int, y: int) -> int:
         """Return the position of tile (x, y), or -1."""
         if not (-TILE_LIMIT <= x < TILE_LIMIT and -TILE_LIMIT <= y < TILE_LIMIT):
             return -1
-        packed = (x << 32) + y
-        place = int(self._packed.searchsorted(packed))
-        return place if place < len(self._packed) and self._packed[place] == packed else -1
+        wanted = (x << 32) + y
+        place = int(self._packed.searchsorted(wanted))
+        return place if place < len(self._packed) and self._packed[place] == wanted else -1
 
 
 class FrozenTiles:
@@ -96,7 +92,7 @@ class FrozenTiles:
             left.unpin(slots)
 
         base = table.levels[0]
-        # Above level 0, which ground is confirmed is read from level 0, in the ring too: it needs a ring of its own.
+        # Above level 0, whether ground is confirmed is read from level 0. The ring's cells, too, need a ring for that.
         entries = table.select(_ring(box, level, 0, more=int(surface == "ground" and level > 0)))
         if after >= 0:
             entries = entries[base.sequence[entries] > after]

@@ -6,14 +6,10 @@ from roughmap.arrays import F8
 from roughmap.cell import TILE_CELLS
 from roughmap.jit import inline, kernel
 from roughmap.reading.halo import Halo
+from roughmap.settings import ground_band
 
 ENOUGH = 1.5
-"""Points that confirm a ground, in the cell and the neighbours at its height: a lone one may be a stray."""
-
-
-def band(side: float) -> float:
-    """Return how far the heights of one ground may differ between neighbouring cells, metres."""
-    return max(0.15, 0.6 * side)
+"""Points, in the cell and in the neighbours at its height, that confirm a ground: a lone point may be a stray."""
 
 
 @inline
@@ -72,7 +68,7 @@ def supported(halo: Halo, side: float) -> F8:
     """
     size = halo.mean.shape[0] - 2
     out = np.empty((size, size))
-    _supported(halo.mean, halo.expected, halo.confirmed, band(side), out)
+    _supported(halo.mean, halo.expected, halo.confirmed, ground_band(side), out)
     return out
 
 

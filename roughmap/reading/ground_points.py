@@ -15,11 +15,11 @@ from roughmap.reading.layers import GroundLimits
 from roughmap.reading.levels import merge_flags
 from roughmap.reading.overhang import overhang
 from roughmap.reading.passable import Passable, coarsened, rated
-from roughmap.reading.plane import Planes, planes
+from roughmap.reading.plane import PlaneLayers, planes
 from roughmap.reading.trust import trust_layers
 from roughmap.tiles import reach
 
-PLANE_LAYERS = frozenset(Planes.__dataclass_fields__)
+PLANE_LAYERS = frozenset(PlaneLayers.__dataclass_fields__)
 
 PASSABLE_LAYERS = frozenset({"obstacle", "obstacle_top", "overhang_low", "traversability", "passable_share"})
 """Layers of objects and of what they and the planes mean for a robot."""
@@ -27,7 +27,7 @@ PASSABLE_LAYERS = frozenset({"obstacle", "obstacle_top", "overhang_low", "traver
 
 class _Terrain(NamedTuple):
     height: F8
-    planes: Planes
+    planes: PlaneLayers
 
 
 def known_ground(tiles: FrozenTiles, x: int, y: int, clearance: float) -> Flags:

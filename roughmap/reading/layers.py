@@ -1,12 +1,8 @@
 """The names of all layers, and the checks of what a caller asks for."""
 
 from collections.abc import Iterable, Mapping
-from math import inf, isfinite
+from math import inf, isfinite, nan
 from typing import NamedTuple
-
-import numpy as np
-
-from roughmap.arrays import F8
 
 CELL_LAYERS = (
     "mean_height",
@@ -72,9 +68,9 @@ def check_tolerance(height_tolerance: float) -> float:
     return tolerance
 
 
-def unknown_plane(name: str, shape: tuple[int, ...]) -> F8:
-    """Return a layer of unknown cells: NaN, but 0 for ``count`` and ``weight``."""
-    return np.full(shape, 0.0 if name in ZERO_WHERE_UNKNOWN else np.nan)
+def unknown_value(name: str) -> float:
+    """Return a layer's value in an unknown cell."""
+    return 0.0 if name in ZERO_WHERE_UNKNOWN else nan
 
 
 LIMIT_NAMES = {
@@ -89,7 +85,7 @@ DEFAULT_LIMITS = {
 }
 
 MAX_CLEARANCE = 2.5
-"""Metres; columns end 3 m above the ground."""
+"""Metres. Columns end 2.8 m above the ground, or a little higher."""
 
 PaperLimits = tuple[float, float, float, float, float]
 """One limit for each of those of the surface "all"; inf if it is not used."""

@@ -6,11 +6,9 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 
-from roughmap.arrays import F8, U2, Records
+from roughmap.arrays import F4, F8, U2, Records
 from roughmap.cell import CELL_DTYPE, TILE_CELLS, TRUST_DTYPE
 from roughmap.jit import kernel
-
-F4 = npt.NDArray[np.float32]
 
 HALF = TILE_CELLS // 2
 

@@ -6,19 +6,16 @@ from math import inf, nan, sqrt
 import numpy as np
 
 from roughmap.arrays import F8, U1, Scalar
-from roughmap.cell import BASED, COLUMN_BINS, COLUMN_DTYPE, TILE_CELLS, TILE_SHIFT
+from roughmap.cell import BASED, BIN_HEIGHT, COLUMN_BINS, COLUMN_DTYPE, TILE_CELLS, TILE_SHIFT
 from roughmap.jit import inline, kernel
 
 FLAGS_AT, BASE_AT, BINS_AT = (COLUMN_DTYPE.fields[name][1] for name in ("flags", "base", "bins"))  # type: ignore[index]
 """Bytes before these members of a column. Their values are read byte by byte, the lowest first."""
 
-BIN = 0.05
-"""Height of a bin, metres."""
-
 SLOPE_PART = 0.7
 """A tilted ground fills a cell up to half its diagonal times the gradient above the mean; 0.7 of the side."""
 
-HITS = 3
+OBJECT_HITS = 3
 """Hits in 3 x 3 cells x 3 bins that make an object; fewer may be strays."""
 
 Columns = tuple[U1, ...]
@@ -74,7 +71,7 @@ def _is_object(columns: Columns, j: int, i: int, number: Scalar) -> bool:
                 continue
             k = number - _base(column, c)
             hits += _hits(column, c, k - 1) + _hits(column, c, k) + _hits(column, c, k + 1)
-            if hits >= HITS:
+            if hits >= OBJECT_HITS:
                 return True
     return False
 
@@ -96,10 +93,10 @@ def _look(columns: Columns, ground: F8, gx: F8, gy: F8, side: float, step: float
             lowest = step + (SLOPE_PART * gradient * side if gradient >= 0.0 else 0.0)
             base = _base(own, c)
             high = 0
-            while high < COLUMN_BINS and (base + high + 0.5) * BIN - ground[j, i] < clearance:
+            while high < COLUMN_BINS and (base + high + 0.5) * BIN_HEIGHT - ground[j, i] < clearance:
                 high += 1
             for k in range(high - 1, -1, -1):
-                height = (base + k + 0.5) * BIN - ground[j, i]
+                height = (base + k + 0.5) * BIN_HEIGHT - ground[j, i]
                 if height <= lowest:
                     break
                 if _hits(own, c, k) > 0 and _is_object(columns, j, i, base + k):
@@ -107,7 +104,7 @@ def _look(columns: Columns, ground: F8, gx: F8, gy: F8, side: float, step: float
                     out[1, j, i] = height
                     break
             for k in range(high, COLUMN_BINS):
-                height = (base + k + 0.5) * BIN - ground[j, i]
+                height = (base + k + 0.5) * BIN_HEIGHT - ground[j, i]
                 if height > lowest and _hits(own, c, k) > 0 and _is_object(columns, j, i, base + k):
                     out[2, j, i] = height
                     break
@@ -116,9 +113,9 @@ def _look(columns: Columns, ground: F8, gx: F8, gy: F8, side: float, step: float
 def overhang(columns: Columns, ground: F8, gx: F8, gy: F8, side: float, step: float, clearance: float) -> Overhang:
     """Return what stands on a tile's ground and hangs over it.
 
-    ``columns``: of nine tiles, south to north and west to east. ``ground`` (64, 64): heights,
-    infinite where unknown. ``gx``, ``gy``: its gradients, NaN without a plane. Bins up to the limit ``step`` over the
-    ground, and what the slope adds, belong to the ground.
+    ``columns``: of nine tiles, south to north and west to east. ``ground`` (64, 64): heights, metres, infinite where
+    unknown. ``gx``, ``gy`` (64, 64): its gradients, NaN without a plane. ``side``: of a cell, metres. Bins up to the
+    limit ``step`` over the ground, and as far as its slope reaches within a cell, belong to the ground.
     """
     if len(columns[4]) == 1:
         out = np.full((3, TILE_CELLS, TILE_CELLS), np.nan)

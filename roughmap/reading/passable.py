@@ -10,7 +10,7 @@ from roughmap.cell import TILE_CELLS
 from roughmap.jit import kernel
 from roughmap.reading.layers import GroundLimits
 from roughmap.reading.overhang import Overhang
-from roughmap.reading.plane import Planes
+from roughmap.reading.plane import PlaneLayers
 
 
 class Passable(NamedTuple):
@@ -57,7 +57,7 @@ def _rate(
             out[j, i] = least if b == b else np.nan  # noqa: PLR0124 - a step height is NaN where nothing is known
 
 
-def rated(planes: Planes, confidence: F8, overhang: Overhang, limits: GroundLimits) -> Passable:
+def rated(planes: PlaneLayers, confidence: F8, overhang: Overhang, limits: GroundLimits) -> Passable:
     """Return how passable the cells of a level-0 tile are: the least of 1 - value / limit over slope, step and
     roughness, and of confidence / limit, between 0 and 1.
 

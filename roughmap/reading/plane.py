@@ -22,10 +22,11 @@ NEAR = 0.3
 FAR = 1e300
 """More than any difference of heights, less than to an unknown one."""
 
-PLANES = 4
+VALUES = 4
 ROW = TILE_CELLS + 2 * LARGEST_FOOTPRINT
-WEIGHT_AT, SCATTER_AT, FREE_AT = ROW, 2 * ROW, 3 * ROW
-"""Rows of cells with four planes: heights, and beginning here, what `Halo` has."""
+TO_WEIGHT, TO_SCATTER, TO_FREE = ROW, 2 * ROW, 3 * ROW
+"""Each row of cells is four rows of ROW numbers: heights, weights, scatter, freedom (see `Halo`). So far is it from a
+cell's height to its other values."""
 
 SUMS = 13 * TILE_CELLS
 W, WX, WXX, WZ, WXZ, WZZ, CELLS, WY, WXY, WYY, WYZ, SCATTER, FREE = range(0, SUMS, TILE_CELLS)
@@ -33,7 +34,7 @@ W, WX, WXX, WZ, WXZ, WZZ, CELLS, WY, WXY, WYY, WYZ, SCATTER, FREE = range(0, SUM
 
 
 @dataclass(frozen=True)
-class Planes:
+class PlaneLayers:
     """Layers of a tile, each (64, 64) float64, NaN where unknown. Without a plane there is a step height alone."""
 
     gradient_x: F8
@@ -50,7 +51,7 @@ def _first(here: F8, cells: F8, limit: float, sums: F8) -> None:
         z = cells[i] - here[i]
         near = abs(z) <= limit
         z = z if near else 0.0
-        w = cells[WEIGHT_AT + i] if near else 0.0
+        w = cells[TO_WEIGHT + i] if near else 0.0
         sums[W + i] = w
         sums[WX + i] = 0.0
         sums[WXX + i] = 0.0
@@ -58,8 +59,8 @@ def _first(here: F8, cells: F8, limit: float, sums: F8) -> None:
         sums[WXZ + i] = 0.0
         sums[WZZ + i] = w * z * z
         sums[CELLS + i] = 1.0 if near else 0.0
-        sums[SCATTER + i] = cells[SCATTER_AT + i] if near else 0.0
-        sums[FREE + i] = cells[FREE_AT + i] if near else 0.0
+        sums[SCATTER + i] = cells[TO_SCATTER + i] if near else 0.0
+        sums[FREE + i] = cells[TO_FREE + i] if near else 0.0
 
 
 @inline
@@ -69,7 +70,7 @@ def _pair(here: F8, left: F8, right: F8, dx: float, limit: float, sums: F8) -> N
         z, y = right[i] - here[i], left[i] - here[i]
         near, also = abs(z) <= limit, abs(y) <= limit
         z, y = z if near else 0.0, y if also else 0.0
-        w, v = right[WEIGHT_AT + i] if near else 0.0, left[WEIGHT_AT + i] if also else 0.0
+        w, v = right[TO_WEIGHT + i] if near else 0.0, left[TO_WEIGHT + i] if also else 0.0
         wz, vy = w * z, v * y
         sums[W + i] += w + v
         sums[WX + i] += dx * (w - v)
@@ -78,8 +79,8 @@ def _pair(here: F8, left: F8, right: F8, dx: float, limit: float, sums: F8) -> N
         sums[WXZ + i] += dx * (wz - vy)
         sums[WZZ + i] += wz * z + vy * y
         sums[CELLS + i] += (1.0 if near else 0.0) + (1.0 if also else 0.0)
-        sums[SCATTER + i] += (right[SCATTER_AT + i] if near else 0.0) + (left[SCATTER_AT + i] if also else 0.0)
-        sums[FREE + i] += (right[FREE_AT + i] if near else 0.0) + (left[FREE_AT + i] if also else 0.0)
+        sums[SCATTER + i] += (right[TO_SCATTER + i] if near else 0.0) + (left[TO_SCATTER + i] if also else 0.0)
+        sums[FREE + i] += (right[TO_FREE + i] if near else 0.0) + (left[TO_FREE + i] if also else 0.0)
 
 
 @inline
@@ -128,16 +129,16 @@ def _solve(here: F8, total: F8, side: float, gx: F8, gy: F8, slope: F8, roughnes
 
 @inline
 def _row(cells: F8, y: Scalar, x: Scalar) -> F8:
-    """Return the cells of row ``y`` from ``x`` on, their planes ROW apart; the length leaves room for 64 cells."""
-    place = y * (PLANES * ROW) + x
-    return cells[place : place + FREE_AT + TILE_CELLS]
+    """Return the cells of row ``y`` from ``x`` on, their values ROW apart; the length leaves room for 64 cells."""
+    place = y * (VALUES * ROW) + x
+    return cells[place : place + TO_FREE + TILE_CELLS]
 
 
 @kernel
 def _fit(cells: F8, side: float, most: F8, sums: F8, total: F8, out: F8) -> None:
     """Fill gradients, slope and roughness in ``out`` (5, 64, 64). ``sums``, ``total``: room for the sums of 64 cells.
 
-    ``cells``: rows of PLANES times ROW values: heights, weights, scatter, freedom. ``most`` (r + 1, r + 1): largest
+    ``cells``: rows of VALUES times ROW numbers: heights, weights, scatter, freedom. ``most`` (r + 1, r + 1): largest
     difference of height by distance along y and x. With all distances in a row constant, the compiler knows that what
     is summed and the sums don't overlap.
     """
@@ -217,7 +218,7 @@ def _geometry(radius: int, side: float, slope: float, step: float) -> tuple[F8, 
     return most, np.array(near, np.int64), np.array(far, np.int64).reshape(-1, 2)
 
 
-def planes(height: F8, halo: Halo, side: float, slope: float, step: float) -> Planes:
+def planes(height: F8, halo: Halo, side: float, slope: float, step: float) -> PlaneLayers:
     """Return the layers of a tile from what is around it.
 
     ``height`` (64 + 2 r, 64 + 2 r): known ground, infinite elsewhere, r <= 6. ``side``: of a cell, metres. A plane
@@ -227,7 +228,7 @@ def planes(height: F8, halo: Halo, side: float, slope: float, step: float) -> Pl
     size = height.shape[0]
     radius = (size - TILE_CELLS) // 2
     inner = slice((halo.mean.shape[0] - size) // 2, (halo.mean.shape[0] + size) // 2)
-    cells = np.empty((size, PLANES, ROW))
+    cells = np.empty((size, VALUES, ROW))
     for number, plane in enumerate(
         (height, *(plane[inner, inner] for plane in (halo.weight, halo.scatter, halo.free)))
     ):
@@ -237,4 +238,4 @@ def planes(height: F8, halo: Halo, side: float, slope: float, step: float) -> Pl
     room = np.empty((2, SUMS))
     _fit(cells.reshape(-1), side, most, room[0], room[1], out)
     _drop(cells.reshape(-1), radius, side, near, far, room[0, :TILE_CELLS], out)
-    return Planes(*out)
+    return PlaneLayers(*out)

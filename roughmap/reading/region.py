@@ -3,10 +3,12 @@
 from collections.abc import Iterable, Iterator, Mapping
 from math import ceil, floor, isfinite
 
+import numpy as np
+
 from roughmap.arrays import F8
 from roughmap.cell import TILE_CELLS, TILE_SHIFT
 from roughmap.reading.frozen import FrozenMap
-from roughmap.reading.layers import unknown_plane
+from roughmap.reading.layers import unknown_value
 
 Bbox = tuple[float, float, float, float]
 CellBox = tuple[int, int, int, int]
@@ -99,7 +101,7 @@ def read_region(
     if not frozen.covers(tiles):
         raise ValueError(f"the box covers the tiles {tiles}; expected tiles within {frozen.box}")
     i0, j0, i1, j1 = cells
-    layers = {name: unknown_plane(name, (j1 - j0, i1 - i0)) for name in names}
+    layers = {name: np.full((j1 - j0, i1 - i0), unknown_value(name)) for name in names}
     (x0, y0, x1, y1), (tx, ty) = tiles, frozen.tiles.T
     for x, y in frozen.tiles[(tx >= x0) & (tx <= x1) & (ty >= y0) & (ty <= y1)].tolist():
         across, columns = overlap(x, i0, i1)

@@ -9,15 +9,12 @@ from collections.abc import Iterable
 from math import inf, nan, sqrt
 
 import numpy as np
-import numpy.typing as npt
 
-from roughmap.arrays import F8, I8, U8, Records, Scalar
+from roughmap.arrays import F4, F8, I8, U8, Records, Scalar
 from roughmap.jit import inline, kernel
 from roughmap.reading.cell_values import LOW_HALF, M2_AT, WEIGHT_AT, WEIGHT_SQ_AT, as_words
 from roughmap.reading.functions import student_95, student_within
 from roughmap.reading.layers import TRUST_LAYERS
-
-F4 = npt.NDArray[np.float32]
 
 MEAN_SIGMA, INTERVAL_95, CONFIDENCE, LOCAL_CONFIDENCE = range(len(TRUST_LAYERS))
 

@@ -20,7 +20,7 @@ LEAST_SHARE = 1e-12
 """Shares up to this are rounding errors of the cell edges and do not count."""
 
 HEIGHT_MAX = 1e7
-"""Metres. The ground is not sought above or below."""
+"""Metres. Higher and lower points are out of bounds."""
 
 INT_MIN, INT_MAX = -(1 << 31), (1 << 31) - 1
 

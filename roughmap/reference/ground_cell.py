@@ -31,7 +31,7 @@ class Hit(NamedTuple):
     """A point in one cell.
 
     ``h``: height. ``w``: its weight there, and ``q`` = w / share. ``stamp_ns``; ``common``, ``mount``: variances of the
-    height from pose and mounting, m^2. ``up``: it came from too steeply below to lie on ground. ``main``: this is the
+    height from pose and mounting, m^2. ``up``: its beam rises too steeply to end on the ground. ``main``: this is the
     cell of the point's largest share.
     """
 

@@ -152,6 +152,11 @@ def paired(tx: I4, ty: I4) -> I4:
     return tiles
 
 
+def packed(tx: I4, ty: I4) -> I8:
+    """Return one number for each of (T,) tiles, which ascends as (tx, ty) does."""
+    return (tx.astype(np.int64) << 32) + ty
+
+
 def ascending(known: I4, tx: I4, ty: I4) -> I4:
     """Return the entries of (T,) different tiles, ascending by signed (tx, ty), read-only.
 
@@ -160,8 +165,8 @@ def ascending(known: I4, tx: I4, ty: I4) -> I4:
     if len(known) == len(tx):
         return known
     order = np.concatenate([known, np.arange(len(known), len(tx), dtype=np.int32)])
-    packed = (tx[order].astype(np.int64) << 32) + ty[order]
-    order = order[np.argsort(packed, kind="stable")]  # this kind merges runs that are already in order
+    keys = packed(tx[order], ty[order])
+    order = order[np.argsort(keys, kind="stable")]  # this kind merges runs that are already in order
     order.flags.writeable = False
     return order
 
@@ -241,6 +246,20 @@ class LevelIndex:
         entries = np.empty(len(tx), np.int32)
         _find_each(self.table, self.keys, np.ascontiguousarray(tx), np.ascontiguousarray(ty), entries)
         return entries
+
+    def find_present(self, tiles: npt.ArrayLike) -> I4:
+        """Return the entries of those of (T, 2) tile numbers that are there, each once, ascending.
+
+        ValueError for anything but (T, 2) integers.
+        """
+        wanted = np.asarray(tiles)
+        if wanted.size == 0:
+            return np.zeros(0, np.int32)
+        if wanted.ndim != 2 or wanted.shape[1] != 2 or wanted.dtype.kind not in "iu":
+            raise ValueError(f"tiles: expected (T, 2) integers, got {wanted.dtype} of shape {wanted.shape}")
+        wanted = wanted[((wanted >= -TILE_LIMIT) & (wanted < TILE_LIMIT)).all(axis=1)].astype(np.int32)
+        entries: I4 = np.unique(self.find_each(wanted[:, 0], wanted[:, 1]))
+        return entries[entries >= 0]
 
     def _probe_box(self, box: TileBox) -> tuple[int, I4]:
         x0, y0, x1, y1 = box

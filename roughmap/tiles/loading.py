@@ -5,7 +5,7 @@ import numpy as np
 from roughmap.arrays import I4, I8, U1
 from roughmap.cell import BASED, CELL_DTYPE, COLUMN_DTYPE, STAMP_LIMIT_NS, TILE_CELLS, TRUST_DTYPE
 from roughmap.points.checks import checked_stamp
-from roughmap.tiles.index import TILE_LIMIT
+from roughmap.tiles.index import TILE_LIMIT, packed
 from roughmap.tiles.shelf import copy_known_rows
 from roughmap.tiles.state import TileState
 from roughmap.tiles.table import TileTable
@@ -63,7 +63,7 @@ def load_shelved(
     lowest, highest = min(int(tx.min()), int(ty.min())), max(int(tx.max()), int(ty.max()))
     if lowest < -TILE_LIMIT or highest >= TILE_LIMIT:
         raise ValueError(f"expected tile numbers in [{-TILE_LIMIT}, {TILE_LIMIT}), found {lowest} to {highest}")
-    if len(np.unique((tx.astype(np.int64) << 32) + ty)) < number:
+    if len(np.unique(packed(tx, ty))) < number:
         raise ValueError("expected different tiles, found one twice")
     if not (int(oldest_ns.min()) >= 0 and bool((oldest_ns <= newest_ns).all()) and newest_ns.max() < STAMP_LIMIT_NS):
         raise ValueError("expected stamps in [0, 2^32 s), the oldest not after the newest")

@@ -23,7 +23,7 @@ class IntegrationEvent(_Closed):
 
     ``poses`` are (odometry input, transform input or 0), ascending by stamp; replay places the cloud with exactly
     these. ``sequence`` is the map's after the event, one higher than before if ``accepted`` is at least 1. ``cleared``
-    counts the marks of obstacles that the scan saw through and weakened.
+    counts the bins of 5 cm that the scan saw through, whose hits were halved.
     """
 
     kind: Literal["integration"] = "integration"

@@ -55,8 +55,8 @@ class SensorConfig(Section):
     exclude: list[Box] = Field(default=[])
     """Boxes xmin, ymin, zmin, xmax, ymax, zmax in the robot's frame whose points are rejected: the robot itself."""
     fov: MaybeView = None
-    """Field of view from the sensor's x axis, in degrees: up, down, left, right. With it, a direction without a return
-    counts as free where those beside it have one. Default: unknown."""
+    """Field of view from the sensor's x axis, in degrees: up, down, left, right. In it, a direction without a return
+    counts as free if the scan has returns at about that elevation, or none higher. Default: unknown."""
 
     @model_validator(mode="after")
     def _ranges(self) -> "SensorConfig":
@@ -92,7 +92,7 @@ class RobotConfig(Section):
     pose_covariance: Policy = "message"
     """Covariance of the robot's poses: as in the message, at least or at most `input.pose_sigma`, or always that."""
     pose_error_time: Positive = 5.0
-    """How long an error of the robot's poses lasts: poses further apart than some of these err independently."""
+    """How long an error of the robot's poses lasts: poses a few times as far apart err independently."""
     sensors: Annotated[
         dict[Frame, SensorConfig], BeforeValidator(_as_it_is, json_schema_input_type=dict[Frame, SensorOverrides])
     ] = Field(default={})

@@ -64,8 +64,8 @@ class MapConfig(Section):
     frame_id: Frame = "map"
     """Frame of the map, into which all points are placed."""
     surface: Surface = DEFAULT_SURFACE
-    """What a cell describes: the ground, with what stands on it and hangs over it apart ("ground"), or all its points
-    together ("all")."""
+    """What a cell describes: the ground, with what stands on it or hangs over it kept apart ("ground"), or all of its
+    points together ("all")."""
     cell_size: Measure = 0.1
     """Side of a cell, metres."""
     error_model: Literal["point", "cuboid", "ellipsoid"] = "cuboid"
@@ -87,7 +87,7 @@ class MapConfig(Section):
     bounds: MaybeBounds = None
     """xmin, ymin, xmax, ymax in metres: points outside are rejected. Default: none."""
     clear_interval: NotNegative = 0.2
-    """Time between two scans of a sensor that clear what they see through, with `surface = "ground"`."""
+    """Time from one scan of a sensor that clears what it sees through to the next, with `surface = "ground"`."""
     keep: KeepConfig = KeepConfig()
     levels: Annotated[int, Field(ge=1, le=24), NUMBER] = 8
     """Number of levels. Each doubles the cell size of the one before."""

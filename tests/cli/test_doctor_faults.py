@@ -28,7 +28,7 @@ from roughmap_service.cli.doctor.traffic import Message
 
 CONFIDENCE = (
     "the poses' heights have a sigma of 0.01 m; their errors last for 5 s (pose_error_time): "
-    "the map's confidence is as true as these two are"
+    "the map's confidence is only as good as these two"
 )
 
 

@@ -32,7 +32,7 @@ CODES = {
     "MixedInstances": 1,
     "NoAnswer": 1,
     "NobodyListens": 1,
-    "OtherState": 2,
+    "OtherLogState": 2,
     "OtherStateVersion": 2,
     "PortTaken": 1,
     "QueryFault": 2,

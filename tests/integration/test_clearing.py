@@ -12,8 +12,8 @@ from properties import examples
 from roughmap import Limits, Noise, Scan, Trajectory, georeference
 from roughmap.cell import BASED, COLUMN_DTYPE, PointReason
 from roughmap.integration.clearing import REACH, clear_tiles
-from roughmap.integration.range_image import COLUMNS, ROWS, look_around, range_image
-from roughmap.integration.view import View, edges_of, is_inside, view_of
+from roughmap.integration.range_image import AZIMUTHS, ROWS, look_around, range_image
+from roughmap.integration.viewpoint import Viewpoint, edges_of, is_inside, viewpoint_of
 from roughmap.points.scan import Fov
 
 F8 = npt.NDArray[np.float64]
@@ -31,17 +31,17 @@ ALL_AROUND = (90.0, 90.0, 180.0, 180.0)
 
 
 def image_of(points: F8, origin: tuple[float, float, float], reason: U1 | None = None) -> npt.NDArray[np.float32]:
-    image = np.full((COLUMNS, ROWS), np.inf, np.float32)
+    image = np.full((AZIMUTHS, ROWS), np.inf, np.float32)
     x, y, z = (np.ascontiguousarray(points[:, k], np.float64) for k in range(3))
     range_image(x, y, z, np.zeros(len(points), np.uint8) if reason is None else reason, origin, image)
     return image
 
 
 def clear(
-    columns: dict[tuple[int, int], Columns], points: F8, view: View, a: float = 0.1, parts: int = 1
+    columns: dict[tuple[int, int], Columns], points: F8, view: Viewpoint, a: float = 0.1, parts: int = 1
 ) -> tuple[int, npt.NDArray[np.uint64]]:
     """Clear the tiles in place; return the number of halved bins and the changed cells by tile."""
-    clear_to, rows = np.empty((COLUMNS, ROWS), np.float32), np.zeros(ROWS, np.uint8)
+    clear_to, rows = np.empty((AZIMUTHS, ROWS), np.float32), np.zeros(ROWS, np.uint8)
     look_around(image_of(points, view.origin), clear_to, rows)
     tiles = np.array(list(columns), np.int32).reshape(-1, 2)
     address = np.array([column.ctypes.data for column in columns.values()], np.uint64)
@@ -52,8 +52,8 @@ def clear(
     return int(cleared.sum()), bits
 
 
-def look(origin: tuple[float, float, float], fov: Fov | None = None, axes: tuple[float, ...] = UNTURNED) -> View:
-    return View(origin, axes, edges_of(fov))
+def look(origin: tuple[float, float, float], fov: Fov | None = None, axes: tuple[float, ...] = UNTURNED) -> Viewpoint:
+    return Viewpoint(origin, axes, edges_of(fov))
 
 
 def put(columns: dict[tuple[int, int], Columns], i: int, j: int, base: int, bins: dict[int, int]) -> None:
@@ -81,7 +81,7 @@ def wall(x: float, low: float = -1.0, high: float = 3.0) -> F8:
 
 
 def by_definition(
-    columns: dict[tuple[int, int], Columns], points: F8, view: View, fov: Fov | None, a: float
+    columns: dict[tuple[int, int], Columns], points: F8, view: Viewpoint, fov: Fov | None, a: float
 ) -> dict[tuple[int, int], dict[int, int]]:
     """What is left of each column, pixel by pixel from a dictionary of returns."""
     ox, oy, oz = view.origin
@@ -302,7 +302,7 @@ def test_the_view_is_from_where_the_first_accepted_point_was_measured() -> None:
     scan = Scan(points, 3, offsets, (0.4, 0.1, 1.2), (0.1, -0.2, 0.3, 0.9))
     limits = Limits(min_range=1.0)
     placed = georeference(scan, way, Noise(0.01), limits)
-    view = view_of(scan, way, limits, placed.reason)
+    view = viewpoint_of(scan, way, limits, placed.reason)
     seen = np.array(view.origin) + np.array(view.axes).reshape(3, 3) @ points[3]
     # Rounding at 5e6 m is 1e-9 m.
     np.testing.assert_allclose(seen, placed.points[3], rtol=0, atol=4e-9)

@@ -18,7 +18,7 @@ from service_tools import config, events_of, read_back, starts_of
 
 from roughmap import RoughMap
 from roughmap_schemas import Config, IntegrationEvent
-from roughmap_service.engine.recovery import OtherState, recover
+from roughmap_service.engine.recovery import OtherLogState, recover
 from roughmap_service.run.settings import new_map
 from roughmap_service.store.map_db import OtherStateVersion, Store
 
@@ -67,8 +67,8 @@ def test_it_is_integrated_and_not_compared(logs: Path, tmp_path: Path) -> None:
     code, said, _ = replay(logs, "-o", tmp_path / "new.db")
     rough_map = restored(tmp_path / "new.db")
     expected = (
-        "not comparable: the log's 4 digests are of state version 1, those of today of version 2; all 17 events came "
-        f"out as logged; sequence 12, digest {rough_map.digest()}"
+        "not comparable: the log's 4 digests are of state version 1, this release's of version 2; all 17 events "
+        f"came out as logged; sequence 12, digest {rough_map.digest()}"
     )
     assert (code, said) == (3, expected)
     assert digest_of_then(rough_map) == THEN.rpartition(" ")[2]
@@ -101,7 +101,7 @@ def test_no_start_goes_on_from_it_but_the_command_that_it_names_makes_a_map(
     (start, *_) = starts_of(read_back(logs))
     settings = start.config.model_dump(exclude={"map": {"limits"}})
     wanted = Config.model_validate({**settings, "map": {**settings["map"], "surface": surface}})
-    with pytest.raises(OtherState) as caught:
+    with pytest.raises(OtherLogState) as caught:
         recover(wanted, logs, None)
     assert caught.value.exit_code == 2
     text = str(caught.value)
@@ -118,7 +118,7 @@ def test_no_start_goes_on_from_it_but_the_command_that_it_names_makes_a_map(
 def test_an_old_store_is_named_with_its_log(logs: Path, store: Store) -> None:
     with pytest.raises(OtherStateVersion, match="has state version 1, not 2"):
         store.read_cut()
-    with pytest.raises(OtherState, match=rf"{logs} and {store.path} are of state version 1"):
+    with pytest.raises(OtherLogState, match=rf"{logs} and {store.path} are of state version 1"):
         recover(config(), logs, store)
     assert store.exists(), "nothing was set aside"
 

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import numpy as np
 import numpy.typing as npt
 
-from roughmap.cell import BASED, CELL_DTYPE, TILE_CELLS, TILE_SHIFT
+from roughmap.cell import BASED, BIN_HEIGHT, CELL_DTYPE, TILE_CELLS, TILE_SHIFT
 from roughmap.tiles.state import TileState
 from roughmap_schemas.encodings import json_encoding
 from roughmap_schemas.faults import QueryFault
@@ -19,9 +19,6 @@ from roughmap_service.answers.plan import INT32, TILE_AREA, Answer, Plan, Reply
 Cells = npt.NDArray[np.int64]
 
 ENCODING = json_encoding("CellAnswer")
-
-BIN_M = 0.05
-"""Height of a bin of a column, metres."""
 
 
 def plan_cells(reader: MapReader, parameters: str, payload: bytes) -> Plan:
@@ -102,4 +99,4 @@ def _hits(column: np.void) -> list[Hits]:
     low, high = column["bins"] & 15, column["bins"] >> 4
     hits = np.stack((low, high), axis=-1).ravel()
     first = 2 * int(column["base"])
-    return [Hits(height=(first + k + 0.5) * BIN_M, hits=int(hits[k])) for k in np.flatnonzero(hits).tolist()]
+    return [Hits(height=(first + k + 0.5) * BIN_HEIGHT, hits=int(hits[k])) for k in np.flatnonzero(hits).tolist()]

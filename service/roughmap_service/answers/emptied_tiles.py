@@ -1,11 +1,11 @@
-"""The tiles that were emptied, by a reset or because they were forgotten, so that readers who hold them learn it."""
+"""Tiles that were emptied, by a reset or because they were forgotten: readers who hold them must learn of it."""
 
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Tiles = npt.NDArray[np.int32]
+from roughmap.arrays import I4
+from roughmap.tiles.index import packed
 
 MOST_PARTS = 64
 """After so many changes their tiles are put together, each with the last change that emptied it."""
@@ -19,10 +19,10 @@ class EmptiedTiles:
     of the last such change; 0 if there was none.
     """
 
-    parts: tuple[tuple[int, Tiles], ...] = ()
+    parts: tuple[tuple[int, I4], ...] = ()
     sequence: int = 0
 
-    def tiles(self, level: int, present: Tiles, after: int = -1) -> Tiles:
+    def tiles(self, level: int, present: I4, after: int = -1) -> I4:
         """Return the (T, 2) tiles of a level that were emptied later than sequence ``after`` and are not among
         ``present``, ascending by (x, y)."""
         level0 = [tiles for sequence, tiles in self.parts if sequence > after]
@@ -42,16 +42,16 @@ class EmptiedHistory:
         self._limit = limit
         self.now = EmptiedTiles()
 
-    def note(self, tiles: Tiles, sequence: int) -> None:
+    def note(self, tiles: I4, sequence: int) -> None:
         """Remember (T, 2) tiles that are empty from ``sequence`` on."""
         parts = [*self.now.parts, (sequence, tiles)]
         if len(parts) > MOST_PARTS or sum(len(those) for _, those in parts) > self._limit:
             parts = self._together(parts)
         self.now = EmptiedTiles(tuple(parts), sequence)
 
-    def _together(self, parts: list[tuple[int, Tiles]]) -> list[tuple[int, Tiles]]:
+    def _together(self, parts: list[tuple[int, I4]]) -> list[tuple[int, I4]]:
         """Keep each tile once, with its last change, and at most `limit` tiles; in half as many parts."""
-        kept: list[tuple[int, Tiles]] = []
+        kept: list[tuple[int, I4]] = []
         later = np.empty((0, 2), np.int32)
         for sequence, tiles in reversed(parts):
             left = _without(tiles, later)
@@ -63,19 +63,13 @@ class EmptiedHistory:
         return [_joined(kept[at : at + 2]) for at in range(0, len(kept), 2)]
 
 
-def _joined(parts: list[tuple[int, Tiles]]) -> tuple[int, Tiles]:
+def _joined(parts: list[tuple[int, I4]]) -> tuple[int, I4]:
     """Put parts together under the sequence of the last: readers then learn of some tiles once more than they need."""
     return parts[-1][0], np.concatenate([tiles for _, tiles in parts])
 
 
-def _without(tiles: Tiles, others: Tiles) -> Tiles:
+def _without(tiles: I4, others: I4) -> I4:
     """Return the rows of the first (T, 2) that are not rows of the second, in their order."""
     if not len(tiles) or not len(others):
         return tiles
-    return tiles[~np.isin(_packed(tiles), _packed(others))]
-
-
-def _packed(tiles: Tiles) -> npt.NDArray[np.int64]:
-    wide: npt.NDArray[np.int64] = tiles.astype(np.int64)
-    packed: npt.NDArray[np.int64] = (wide[:, 0] << 32) | (wide[:, 1] & 0xFFFFFFFF)
-    return packed
+    return tiles[~np.isin(packed(tiles[:, 0], tiles[:, 1]), packed(others[:, 0], others[:, 1]))]

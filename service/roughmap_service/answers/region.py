@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from roughmap.reading.layers import ZERO_WHERE_UNKNOWN
+from roughmap.reading.layers import unknown_value
 from roughmap.reading.region import CellBox, cell_box, overlap, tile_box
 from roughmap_schemas.encodings import GRID
 from roughmap_schemas.faults import QueryFault
@@ -92,7 +92,7 @@ def _mosaic(drawing: Drawing, cells: CellBox, compression: Compression, key: str
     tiles, sequences = frozen.tiles[inside].tolist(), frozen.sequences[inside].tolist()
     packed = np.empty((j1 - j0, i1 - i0, len(form.layers)), np.dtype(f"<{form.dtype}"))
     if len(tiles) < (x1 - x0 + 1) * (y1 - y0 + 1):
-        blank = [0.0 if name in ZERO_WHERE_UNKNOWN else np.nan for name in form.layers]
+        blank = [unknown_value(name) for name in form.layers]
         # Ten times as fast as packed[:] = blank.
         packed.reshape(j1 - j0, -1)[:] = np.tile(np.array(blank, packed.dtype), i1 - i0)
     known_cells, stamps = 0, []

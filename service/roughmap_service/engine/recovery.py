@@ -29,8 +29,8 @@ from roughmap_service.store.stored_tiles import StoredTiles, set_index
 logger = logging.getLogger(__name__)
 
 
-class OtherState(ReportedError):
-    """The log is of another state version; one line that says how to make a map from it."""
+class OtherLogState(ReportedError):
+    """The log is of another state version. One line that says how to make a map from it."""
 
     exit_code = 2
 
@@ -81,7 +81,7 @@ def recover(
 
     With ``memory`` the store's tiles stay there until they are needed, and tiles leave memory at its limit. A damaged
     log ends before the damage. A damaged store is rebuilt if the log reaches back to the run's beginning. Damaged files
-    are logged and set aside. Raises LogError, StoreError, RunError, OtherState or IdentityError, each one line, if the
+    are logged and set aside. Raises LogError, StoreError, RunError, OtherLogState or IdentityError, each one line, if the
     map can't be recovered; Stopped once ``stop`` is set.
     """
     ended: set[Path] = set()
@@ -123,7 +123,7 @@ def _recover(config: Config, directory: Path, store: Store | None, watch: "_Watc
             outdated = error
     files = newest_run(directory, cut)
     if files and files[-1].metadata.state_version != STATE_VERSION:
-        raise OtherState(_other_state(config, files[-1], store if outdated else None))
+        raise OtherLogState(_other_state(config, files[-1], store if outdated else None))
     if files:
         check_identity(config, files[-1].metadata.configuration, files[-1].path)
         if outdated:
@@ -145,8 +145,8 @@ def _other_state(config: Config, file: RunFile, store: Store | None) -> str:
     what = f"{folder} and {store.path} are" if store is not None else f"{folder} is"
     there = "" if config.map.surface == "all" else f" --what-if map.surface={config.map.surface}"
     return (
-        f"{what} of state version {found} ({file.path.name}), and this release goes on from version {STATE_VERSION} "
-        f"only: `roughmap replay {folder} -o map-{STATE_VERSION}.db{there}` builds a map from that log; serve it as "
+        f"{what} of state version {found} ({file.path.name}), and this release continues only version "
+        f"{STATE_VERSION}: `roughmap replay {folder} -o map-{STATE_VERSION}.db{there}` builds a map from that log; serve it as "
         "store.path, with another log.directory, or begin a new map with --fresh"
     )
 

@@ -60,8 +60,8 @@ class Replayed:
         found = f"{self.others} of" if self.others else "all"
         how = "otherwise" if self.others else "as logged"
         return (
-            f"not comparable: the log's {self.checkpoints} digests are of state version {self.state_version}, those of "
-            f"today of version {STATE_VERSION}; {found} {self.events} events came out {how}; {reached}"
+            f"not comparable: the log's {self.checkpoints} digests are of state version {self.state_version}, this "
+            f"release's of version {STATE_VERSION}; {found} {self.events} events came out {how}; {reached}"
         )
 
 

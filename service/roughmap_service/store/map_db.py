@@ -17,6 +17,7 @@ from roughmap.arrays import I4, I8
 from roughmap.reading.frozen import FrozenMap
 from roughmap.tiles.columns import COLUMN_BYTES
 from roughmap.tiles.digest import tile_digest
+from roughmap.tiles.index import packed
 from roughmap.tiles.slots import SLOT_BYTES
 from roughmap.tiles.state import TileState
 from roughmap_schemas.faults import ReportedError
@@ -298,18 +299,13 @@ def _checksum(texts: Mapping[str, str]) -> str:
 
 def _delete_others(db: sqlite3.Connection, remaining: I4) -> None:
     """Delete all stored tiles but ``remaining`` (T, 2)."""
-    kept = _packed(remaining.astype(np.int64))
+    kept = packed(remaining[:, 0], remaining[:, 1])
     gone: list[list[int]] = []
     rows = db.execute("SELECT tx, ty FROM tiles")
     while part := rows.fetchmany(CHUNK_ROWS):
-        stored = np.array(part, np.int64)
-        gone += stored[~np.isin(_packed(stored), kept)].tolist()
+        stored = np.array(part, np.int32)
+        gone += stored[~np.isin(packed(stored[:, 0], stored[:, 1]), kept)].tolist()
     db.executemany("DELETE FROM tiles WHERE tx = ? AND ty = ?", gone)
-
-
-def _packed(tiles: I8) -> I8:
-    """Return one number for each of the tiles (T, 2)."""
-    return (tiles[:, 0] << 32) + tiles[:, 1]
 
 
 def _rows(

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap_client import Region, RoughMapClient
-from roughmap_schemas.layers import LAYERS
 from roughmap_schemas.messages import MapStatus
 from roughmap_schemas.reasons import PointReason
 from roughmap_service.cli.demo.judging import Judgement, judge
@@ -32,8 +31,8 @@ SETTLE_S = 20.0
 PICTURE_REACH_M = 26.0
 """Half the side of the square that is drawn and compared, around the middle of the rover's path; it sees 25 m."""
 
-CONFIDENCE, INTERVAL = "confidence", "interval_95"
-"""Layers that not every service has."""
+LAYERS = ("mean_height", "traversability", "confidence", "interval_95")
+"""Layers that are drawn, or compared with the true world."""
 
 REPLAY_LINE = re.compile(r"equal: (\d+) checkpoints, sequence (\d+), digest ([0-9a-f]{32})")
 
@@ -154,9 +153,7 @@ def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int,
             published = driver.wait(seconds + 60, progress.driven)
         progress.step("stopping the service after the last scans")
         status = settled(client, published["clouds"])
-        confidence = CONFIDENCE if CONFIDENCE in LAYERS else "confidence_level"
-        layers = ["mean_height", "traversability", confidence, *({INTERVAL} & set(LAYERS))]
-        region = client.region(picture_box(), layers)
+        region = client.region(picture_box(), LAYERS)
         client.close()
         exit_code = service.stop()
     progress.step("replaying the log")
@@ -169,7 +166,7 @@ def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int,
         region.cell_size,
         region["traversability"],
         region["mean_height"],
-        region[INTERVAL] if INTERVAL in layers else None,
+        region["interval_95"],
     )
     lag = planner.worst_lag or (status.lag_s.p50, status.lag_s.p99)
     pictures = tuple(
@@ -177,7 +174,7 @@ def run_demo(out: Path, config: Path, *, seconds: float, robots: int, seed: int,
         for file, layer in (
             ("height.png", "mean_height"),
             ("traversability.png", "traversability"),
-            ("confidence.png", confidence),
+            ("confidence.png", "confidence"),
         )
     )
     return Outcome(

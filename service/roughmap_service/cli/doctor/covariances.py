@@ -115,12 +115,12 @@ def judge_covariances(
 
 
 def _confidence(robot: str, found: Covariances, config: Config) -> Finding:
-    """Say by what the map tells how far its heights can be trusted."""
+    """Say what the layer `confidence` rests on."""
     height = float(np.median(found.sigmas[:, 2])) if len(found.sigmas) else config.input.pose_sigma[2]
     lasting = config.pose_error_time(robot)
     text = (
         f"the poses' heights have a sigma of {height:.3g} m; their errors last for {lasting:g} s (pose_error_time): "
-        "the map's confidence is as true as these two are"
+        "the map's confidence is only as good as these two"
     )
     return Finding(robot, "ok", text)
 

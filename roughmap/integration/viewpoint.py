@@ -20,7 +20,7 @@ Edges = tuple[bool, float, float, float, float, float, float]
 and right edge, counted from the x axis to either side."""
 
 
-class View(NamedTuple):
+class Viewpoint(NamedTuple):
     """``origin``: the sensor in the map frame, metres. ``axes`` (9): rotation from the sensor's frame to the map's, row
     by row. ``edges``: its field of view."""
 
@@ -29,8 +29,8 @@ class View(NamedTuple):
     edges: Edges
 
 
-def view_of(scan: Scan, trajectory: Trajectory, limits: Limits, reason: U1) -> View:
-    """Return the view at the time of the accepted point of lowest index.
+def viewpoint_of(scan: Scan, trajectory: Trajectory, limits: Limits, reason: U1) -> Viewpoint:
+    """Return where a scan looked from at the time of the accepted point of lowest index.
 
     ``reason`` (N,): what phase one says of the scan's points; one at least is accepted.
     """
@@ -43,7 +43,7 @@ def view_of(scan: Scan, trajectory: Trajectory, limits: Limits, reason: U1) -> V
     axes = tuple(
         r[3 * k] * m[c] + r[3 * k + 1] * m[3 + c] + r[3 * k + 2] * m[6 + c] for k in range(3) for c in range(3)
     )
-    return View((origin[0], origin[1], origin[2]), axes, edges_of(limits.fov))
+    return Viewpoint((origin[0], origin[1], origin[2]), axes, edges_of(limits.fov))
 
 
 @lru_cache
