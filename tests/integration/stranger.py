@@ -1,7 +1,8 @@
 """A program of someone who read the contract and nothing else: zenoh, Foxglove's protobuf, JSON and numpy.
 
-It feeds a service, asks it, and holds the answers against a calculation of its own (whole arrays at a time, two
-passes, matrix products: nothing is done the way the service does it). Usage: stranger.py ENDPOINT MODEL
+It feeds a service whose map keeps all points, asks it, and holds the answers against a calculation of its own (whole
+arrays at a time, two passes, matrix products: nothing is done the way the service does it). It digests the cells it is
+told as the contract says, and tells the map's digest. Usage: stranger.py ENDPOINT MODEL
 """
 
 import json
@@ -12,6 +13,7 @@ from collections import defaultdict
 from typing import Any
 
 import numpy as np
+import xxhash
 import zenoh
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
@@ -21,7 +23,15 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 WAIT_S = 30.0
 T0 = 1_700_000_000 * 10**9
 CELL, COVERAGE, MIN_RADIUS, MIN_DISTANCE, MIN_SHARE = 0.1, 2.0, 1e-3, 1e-3, 0.05
-PLACED_SIGMA = 0.02
+PLACED_SIGMA, POSE_ERROR_TIME = 0.02, 5.0
+TILE = 64
+CELL_RECORD = np.dtype(
+    [("count", "<u4"), ("updated", "<u4")]
+    + [(name, "<f8") for name in ("weight", "weight_sq", "mean", "m2", "min", "max", "inv_cf")]
+)
+TRUST_RECORD = np.dtype(
+    [(name, "<f4") for name in ("variance", "shared", "pose_variance", "mount_sigma")] + [("newest_ms", "<u4")]
+)
 
 SENSOR = {
     "translation": [0.3, -0.1, 0.8],
@@ -59,9 +69,12 @@ A = np.random.default_rng(5).normal(size=(2, 6, 6))
 COVARIANCES = [0.004**2 * (a @ a.T) for a in A]
 
 
-def placed(points: np.ndarray, offsets_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Eq. 1 for each point with the pose at its own time: positions and covariances in the map frame."""
-    positions, covariances = [], []
+def placed(points: np.ndarray, offsets_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Eq. 1 for each point with the pose at its own time: positions and covariances in the map frame.
+
+    Then (N, 3): the variances of the heights from poses and mounting, and the times in milliseconds.
+    """
+    positions, covariances, shared = [], [], []
     R_rs, t_rs = rotation(np.array(SENSOR["rotation"])), np.array(SENSOR["translation"])
     for r_s, offset in zip(points, offsets_ns, strict=True):
         u = (20_000_000 + offset) / 1e8  # the cloud's stamp lies 20 ms after the first pose
@@ -78,8 +91,10 @@ def placed(points: np.ndarray, offsets_ns: np.ndarray) -> tuple[np.ndarray, np.n
         turn = np.kron(np.eye(2), R)
         S_mount = turn @ np.diag(np.array(SENSOR["mount_sigma"]) ** 2) @ turn.T
         positions.append(r_map)
-        covariances.append(S + J @ S_pose @ J.T + J_m @ S_mount @ J_m.T)
-    return np.array(positions), np.array(covariances)
+        from_pose, from_mount = J @ S_pose @ J.T, J_m @ S_mount @ J_m.T
+        covariances.append(S + from_pose + from_mount)
+        shared.append([from_pose[2, 2], from_mount[2, 2], (T0 + 20_000_000 + int(offset)) // 10**6])
+    return np.array(positions), np.array(covariances), np.array(shared)
 
 
 def overlap(model: str, centre: np.ndarray, S: np.ndarray, i: int, j: int) -> float:
@@ -114,10 +129,12 @@ def volume_weight(model: str, S: np.ndarray) -> float:
     return CELL / (COVERAGE**3 * math.sqrt(np.linalg.det(S)))
 
 
-def expected(model: str, points: np.ndarray, covariances: np.ndarray) -> dict[tuple[int, int], dict[str, float]]:
+def expected(
+    model: str, points: np.ndarray, covariances: np.ndarray, shared: np.ndarray
+) -> dict[tuple[int, int], dict[str, float]]:
     """Every cell's state, from all its points at once."""
-    hits: dict[tuple[int, int], list[tuple[float, float, float]]] = defaultdict(list)
-    for point, S in zip(points, covariances, strict=True):
+    hits: dict[tuple[int, int], list[tuple[float, ...]]] = defaultdict(list)
+    for point, S, (c, m, ms) in zip(points, covariances, shared, strict=True):
         i0, j0 = (math.floor(v / CELL) for v in point[:2])
         around = [(i, j) for i in range(i0 - 6, i0 + 7) for j in range(j0 - 6, j0 + 7)]
         shares = {cell: overlap(model, point, S, *cell) for cell in around}
@@ -125,8 +142,31 @@ def expected(model: str, points: np.ndarray, covariances: np.ndarray) -> dict[tu
         for cell, p in shares.items():
             assert abs(p - least) > 1e-5 or p == 0.0, "too close to min_share for a calculation by slices"
             if p >= least and p > 1e-12:
-                hits[cell].append((point[2], volume_weight(model, S) * p, p))
-    return {cell: state(*np.array(rows).T) for cell, rows in hits.items()}
+                hits[cell].append((point[2], volume_weight(model, S) * p, p, c, m, ms))
+    states = {}
+    for cell, rows in hits.items():
+        h, w, p, c, m, ms = np.array(rows).T
+        states[cell] = {**state(h, w, p), **trust(w, c, np.sqrt(m), ms)}
+    return states
+
+
+def trust(w: np.ndarray, c: np.ndarray, m: np.ndarray, ms: np.ndarray) -> dict[str, float]:
+    """What poses and mounting do to the mean height: the mean's weights times what two of its points share.
+
+    Each weight is a part w / W. Two points' pose errors have the older one's variance in common, less what each step of
+    time between them takes away.
+    """
+    part = w / w.sum()
+    step = np.clip(1 - np.abs(np.diff(ms)) / (4000 * POSE_ERROR_TIME), 0, None) ** 4
+    variance, shared = float((part**2 * c).sum()), 0.0
+    for old in range(len(w)):
+        alike = c[old] * np.concatenate([[1.0], np.cumprod(step[old:])])
+        variance += float(2 * part[old] * (part[old + 1 :] * alike[1:]).sum())
+        shared += float(part[old] * alike[-1])
+    return {
+        "variance": variance, "shared": shared, "pose_variance": float((part * c).sum()),
+        "mount_sigma": float((part * m).sum()), "newest_ms": int(ms[-1]) % 2**32,
+    }  # fmt: skip
 
 
 def state(h: np.ndarray, w: np.ndarray, p: np.ndarray) -> dict[str, float]:
@@ -230,11 +270,40 @@ def main(endpoint: str, model: str) -> None:
         }  # fmt: skip
         for name, value in by_hand.items():
             assert math.isclose(cell["state"][name], value, rel_tol=1e-12), (name, cell["state"][name], value)
+        for name in ("variance", "shared", "pose_variance"):
+            assert cell["state"][name] == float(np.float32(PLACED_SIGMA**2)), name
+        assert cell["state"]["mount_sigma"] == 0.0
 
-        compare(session, model, expected(model, *placed(points, offsets)), alone=(0, 0))
+        cells = expected(model, *placed(points, offsets))
+        states = compare(session, model, cells, alone=(0, 0))
+        states[0, 0] = {**cell["state"], "newest_ms": T0 // 10**6 % 2**32}
+        digest = map_digest(session, states)
+        print(json.dumps({"cells": len(cells), "counts": [c["count"] for c in cells.values()], "digest": digest}))
 
 
-def compare(session: zenoh.Session, model: str, cells: dict[tuple[int, int], Any], alone: tuple[int, int]) -> None:
+def map_digest(session: zenoh.Session, states: dict[tuple[int, int], Any]) -> str:
+    """The map's digest, from the states of all known cells. Each tile's must be the one that the service tells."""
+    tiles = {}
+    for (i, j), told in states.items():
+        key = i // TILE, j // TILE
+        records, trusts = tiles.setdefault(
+            key, (np.zeros((TILE, TILE), CELL_RECORD), np.zeros((TILE, TILE), TRUST_RECORD))
+        )
+        for array in (records, trusts):
+            array[j % TILE, i % TILE] = tuple(told[name] for name in array.dtype.names)
+    total = 0
+    for (x, y), arrays in tiles.items():
+        digest = xxhash.xxh3_128(b"".join(array.tobytes() for array in arrays)).digest()
+        (reply,) = ask(session, f"maps/site/tiles/0/{x}/{y}")
+        assert json.loads(reply.attachment.to_bytes())["digest"] == digest.hex(), f"tile {x}, {y}"
+        total += xxhash.xxh3_128_intdigest(np.array([x, y], "<i4").tobytes() + digest)
+    return xxhash.xxh3_128_hexdigest(len(tiles).to_bytes(8, "little") + (total % 2**128).to_bytes(16, "little"))
+
+
+def compare(
+    session: zenoh.Session, model: str, cells: dict[tuple[int, int], Any], alone: tuple[int, int]
+) -> dict[tuple[int, int], Any]:
+    """Hold all answers against ``cells``; return the states as told, with the times that the contract doesn't tell."""
     # Slices give an ellipse's share to about 1e-8 of the whole, hence 1e-6 of a small one; the rest agrees to rounding.
     rtol = 1e-6 if model == "ellipsoid" else 1e-9
     order = sorted(cells)
@@ -248,8 +317,13 @@ def compare(session: zenoh.Session, model: str, cells: dict[tuple[int, int], Any
             # Heights near 3 m are rounded to some 1e-16: of equal ones, m2 may come out as the square of that, not 0.
             atol = 1e-28 * cells[wanted]["weight"] if name == "m2" else 0.0
             check(f"{wanted} {name}", got["state"][name], cells[wanted][name], rtol, atol)
+        for name in ("variance", "shared", "pose_variance", "mount_sigma"):
+            # Kept in float32: every point rounds some 6e-8 away, and a cell has tens of them.
+            check(f"{wanted} {name}", got["state"][name], cells[wanted][name], 1e-5)
         for name in layers:
-            check(f"{wanted} {name}", got["layers"][name], cells[wanted][name], rtol)
+            # The service's error function is a polynomial, good to 1e-7.
+            atol = 1e-7 if name == "confidence_level" else 0.0
+            check(f"{wanted} {name}", got["layers"][name], cells[wanted][name], rtol, atol)
 
     known: dict[tuple[int, int], float] = {}
     replies = ask(session, "maps/site/tiles/0/*/*?layers=mean_height,count;dtype=f8")
@@ -266,7 +340,10 @@ def compare(session: zenoh.Session, model: str, cells: dict[tuple[int, int], Any
     assert set(known) == {*cells, alone}, "the tiles know other cells"
     for cell in order:
         check(f"{cell} in the tile", known[cell], cells[cell]["mean"], rtol)
-    print(json.dumps({"cells": len(cells), "counts": sorted({int(c["count"]) for c in cells.values()})}))
+    return {
+        cell: {**got["state"], "newest_ms": cells[cell]["newest_ms"]}
+        for cell, got in zip(order, answer["cells"], strict=True)
+    }
 
 
 if __name__ == "__main__":
