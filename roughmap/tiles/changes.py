@@ -28,7 +28,8 @@ def _low_bits(number: Scalar) -> Scalar:
 def rings(surface: str, cell_size: float, levels: int) -> tuple[int, ...]:
     """Return the width of the ring at each level, in its cells.
 
-    Slope needs the next cell. The ground's layers need the plane's radius, the overhang's and one cell more.
+    Slope needs the next cell. The ground's layers need the plane's radius, the overhang's and one cell more. Above
+    level 0 the worst of a cell's level-0 cells needs their ring too, which is never wider than that of the level.
     """
     if surface == "all":
         return (1,) * levels
