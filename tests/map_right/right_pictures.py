@@ -6,6 +6,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.colors import ListedColormap
+from PIL import Image
 from right_maps import Seen
 
 TITLES = {"all": 'surface = "all": every return', "ground": 'surface = "ground"'}
@@ -30,6 +31,9 @@ def draw(by_surface: dict[str, Seen], title: str, path: Path, way: np.ndarray | 
     both[0].set_ylabel("y, m")
     figure.colorbar(drawn, ax=both, label="traversability; red: forbidden; grey: not known", shrink=0.85)
     figure.suptitle(title)
-    figure.savefig(path, dpi=110)
+    figure.set_dpi(110)
+    figure.canvas.draw()
+    pixels = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())).convert("RGB")
+    pixels.quantize(256).save(path, optimize=True)  # a third of the size
     plt.close(figure)
     return path
