@@ -81,8 +81,8 @@ def recover(
 
     With ``memory`` the store's tiles stay there until they are needed, and tiles leave memory at its limit. A damaged
     log ends before the damage. A damaged store is rebuilt if the log reaches back to the run's beginning. Damaged files
-    are logged and set aside. Raises LogError, StoreError, RunError, OtherLogState or IdentityError, each one line, if the
-    map can't be recovered; Stopped once ``stop`` is set.
+    are logged and set aside. Raises LogError, StoreError, RunError, OtherLogState or IdentityError, each one line, if
+    the map can't be recovered; Stopped once ``stop`` is set.
     """
     ended: set[Path] = set()
     while True:
@@ -146,8 +146,8 @@ def _other_state(config: Config, file: RunFile, store: Store | None) -> str:
     there = "" if config.map.surface == "all" else f" --what-if map.surface={config.map.surface}"
     return (
         f"{what} of state version {found} ({file.path.name}), and this release continues only version "
-        f"{STATE_VERSION}: `roughmap replay {folder} -o map-{STATE_VERSION}.db{there}` builds a map from that log; serve it as "
-        "store.path, with another log.directory, or begin a new map with --fresh"
+        f"{STATE_VERSION}: `roughmap replay {folder} -o map-{STATE_VERSION}.db{there}` builds a map from that log;"
+        " serve it as store.path, with another log.directory, or begin a new map with --fresh"
     )
 
 

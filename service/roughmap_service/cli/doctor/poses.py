@@ -22,7 +22,7 @@ MAX_FOLLOWED = 5_000
 MAX_FRAMES = 64
 """Frames of odometry that are told apart."""
 
-KEEP_RADIUS_M = 50.0
+KEEP_RADIUS_M = 30.0
 """What a robot without a global frame may keep around it: dead reckoning drifts by about 1 % of the way."""
 
 KEEP = table(("map", "keep"), {"radius": KEEP_RADIUS_M})
