@@ -38,6 +38,8 @@ def test_it_ends_as_equal_with_a_table_and_pictures(tmp_path: Path, capfd: pytes
     height_error = re.match(r"median ([\d.]+) cm, p95 ([\d.]+) cm", rows["height error"])
     assert height_error is not None
     assert float(height_error[1]) < 4
+    # 18 cm were measured after so short a drive, on a busy machine.
+    assert float(height_error[2]) < 25
     assert ("95 % interval" in rows) == ("interval_95" in LAYERS)
     for name in ("wrongly free", "wrongly forbidden"):
         assert re.match(r"[\d.]+% of [\d,]+ ", rows[name]), name
