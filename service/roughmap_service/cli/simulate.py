@@ -78,9 +78,9 @@ def simulate(
 ) -> None:
     """roughmap simulate --duration 20
 
-    Drive a rover over synthetic ground of known height and publish its scans and poses to a running
-    `roughmap serve`, as a robot would. The world has slopes, rocks, ditches, a wall, trees, a roof, a tunnel, people and rain. The scanner turns while the
-    rover moves, and the poses have errors as large as their covariance says.
+    Drive a rover through a world whose true state is known, and publish its scans and poses to a running
+    `roughmap serve`, as a robot would. The world has slopes, rocks, ditches, trees, a roof, a tunnel, people, a car and
+    rain. The scanner turns while the rover moves, and the poses have errors as large as their covariance says.
 
     The service must know the rover's sensor, `lidar`. `roughmap config example` prints a configuration that has it;
     without it the service refuses the scans.
