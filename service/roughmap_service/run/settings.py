@@ -134,7 +134,11 @@ def _sensor(config: SensorConfig, max_pose_gap: float, pose_error_time: float) -
 
 
 CACHE_SHARE = 1 / 16
-"""Part of the memory limit for merged tiles that are kept for readers."""
+"""Part of the memory limit for drawn tiles that are kept for readers, and for merged ones."""
+
+_MERGED_LEAST = 16 << 20
+"""Bytes for merged tiles and tiles read from the shelf, up to a quarter of the memory limit. With less, a query of a
+coarse level reads the same tiles of a map of the ground again and again: each is needed by its neighbours too."""
 
 
 def new_map(config: Config, shelf: Shelf | None = None) -> RoughMap:
@@ -155,5 +159,5 @@ def new_map(config: Config, shelf: Shelf | None = None) -> RoughMap:
         threads=config.service.threads or None,
         shelf=shelf,
     )
-    rough_map.limit_cache(int(m.memory_limit * CACHE_SHARE))
+    rough_map.limit_cache(max(int(m.memory_limit * CACHE_SHARE), min(_MERGED_LEAST, m.memory_limit // 4)))
     return rough_map
