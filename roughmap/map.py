@@ -250,7 +250,8 @@ class RoughMap:
     def integrate(self, prepared: Prepared) -> AddReport:
         """Add the points that were prepared last.
 
-        ValueError if the map has changed since, or MemoryError; the map is then as it was.
+        ValueError if the map has changed since, or MemoryError; the map is then as it was. RuntimeError if memory ran
+        out halfway: then the map is of no more use.
         """
         work = prepared.work
         if work is None:

@@ -4,6 +4,8 @@ Phase one computes the geometry of the points, finds the tiles that they touch a
 inserts new tiles, updates the cells in the order of the points, and marks what changed. Only phase two changes the map.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -234,6 +236,15 @@ def _work(
     )  # fmt: skip
 
 
+@contextmanager
+def _to_its_end() -> Iterator[None]:
+    """Make a MemoryError in a change that has begun a RuntimeError: after the former, a caller goes on with the map."""
+    try:
+        yield
+    except MemoryError as error:
+        raise RuntimeError("memory ran out while the map changed: it can't be used any more") from error
+
+
 def phase_two(
     work: Work, sequence: int, table: TileTable, settings: MapSettings, space: Workspace
 ) -> tuple[int, int, I4]:
@@ -242,7 +253,7 @@ def phase_two(
     Returns the newest stamp in the tiles with points (0 if none), in ns; the number of hits cleared; and the (T, 2)
     tiles that changed, ascending.
 
-    A MemoryError comes before anything has changed.
+    A MemoryError comes before anything has changed; later, where it takes far less memory, it is a RuntimeError.
     """
     number = len(work.tx)
     ranges = space.tiles(len(work.edges) - 1)
@@ -251,52 +262,51 @@ def phase_two(
     known = work.entries[there] >= 0
     tx, ty, dense = work.tx[there], work.ty[there], tiles.work[there] >= _DENSE_POINTS
     # All memory is allocated before the first cell is written, so that a failure changes nothing.
+    oldest, newest = np.full(number, _NEVER_NS.max), np.full(number, _NEVER_NS.min)
+    begun, homes = np.zeros(number, np.uint8), np.zeros((number, TILE_WORDS), np.uint64)
+    ends = np.array([touched.runs for touched in ranges])
+    measures = settings.min_distance, settings.band, float(work.pose_error_time)
     if work.sight is not None:
         table.make_writable(with_columns(table, work.sight.entries))
     entries, lent = table.open(work.entries[there], tx, ty, dense, columns=settings.ground_only)
-    slots = table.slot[entries]
-    table.used[entries] = sequence
+    with _to_its_end():
+        slots = table.slot[entries]
+        table.used[entries] = sequence
+        # By row; nothing is read of rows without a tile.
+        oldest[there[known]], newest[there[known]] = table.oldest_ns[entries[known]], table.newest_ns[entries[known]]
+        begun[there] = known
+        homes[there, 0], homes[there, 1] = table.pool.address[slots], table.pool.column_address[slots]
 
-    # By row; nothing is read of rows without a tile.
-    oldest, newest = np.full(number, _NEVER_NS.max), np.full(number, _NEVER_NS.min)
-    oldest[there[known]], newest[there[known]] = table.oldest_ns[entries[known]], table.newest_ns[entries[known]]
-    begun = np.zeros(number, np.uint8)
-    begun[there] = known
-    homes = np.zeros((number, TILE_WORDS), np.uint64)
-    homes[there, 0], homes[there, 1] = table.pool.address[slots], table.pool.column_address[slots]
-    ends = np.array([touched.runs for touched in ranges])
-    measures = settings.min_distance, settings.band, float(work.pose_error_time)
+        def update(part: int, scratch: ThreadScratch) -> None:
+            update_tiles(
+                part,
+                work.owner,
+                work.edges[:-1],
+                ends,
+                work.planes,
+                work.stamps,
+                settings.rules,
+                measures,
+                work.rows,
+                tiles.table,
+                tiles.keys[: tiles.number],
+                homes,
+                begun,
+                work.bits,
+                oldest,
+                newest,
+                scratch.lines,
+                scratch.shares,
+                scratch.queue,
+            )
 
-    def update(part: int, scratch: ThreadScratch) -> None:
-        update_tiles(
-            part,
-            work.owner,
-            work.edges[:-1],
-            ends,
-            work.planes,
-            work.stamps,
-            settings.rules,
-            measures,
-            work.rows,
-            tiles.table,
-            tiles.keys[: tiles.number],
-            homes,
-            begun,
-            work.bits,
-            oldest,
-            newest,
-            scratch.lines,
-            scratch.shares,
-            scratch.queue,
-        )
-
-    space.run(work.parts, update)
-    table.pool.drop_columns(np.setdiff1d(lent, slots[homes[there, 2] != 0]))
-    table.oldest_ns[entries] = oldest[there]
-    table.newest_ns[entries] = newest[there]
-    table.mark_changed(entries, tx, ty, work.bits[there], sequence)
-    newest_ns = int(newest.max(initial=0))
-    if work.sight is None:
-        return newest_ns, 0, work.changed
-    cleared, changed = clear(work.sight, table, settings.cell_size, space, sequence)
-    return newest_ns, cleared, np.unique(np.concatenate([work.changed, changed]), axis=0)
+        space.run(work.parts, update)
+        table.pool.drop_columns(np.setdiff1d(lent, slots[homes[there, 2] != 0]))
+        table.oldest_ns[entries] = oldest[there]
+        table.newest_ns[entries] = newest[there]
+        table.mark_changed(entries, tx, ty, work.bits[there], sequence)
+        newest_ns = int(newest.max(initial=0))
+        if work.sight is None:
+            return newest_ns, 0, work.changed
+        cleared, changed = clear(work.sight, table, settings.cell_size, space, sequence)
+        return newest_ns, cleared, np.unique(np.concatenate([work.changed, changed]), axis=0)

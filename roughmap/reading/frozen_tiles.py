@@ -85,7 +85,8 @@ class FrozenTiles:
         self.newest_updated = newest_updated
         self._table = table
         self._cache = cache
-        self._generation = cache.generation
+        # What is merged of the changed tiles alone must not pass for the whole.
+        self._state = cache.generation, max(after, -1) if level else -1
         self._slots: I4 | None = None
         while cache.abandoned:
             left, slots = cache.abandoned.popleft()
@@ -225,7 +226,7 @@ class FrozenTiles:
         if place < 0:
             return None
         # the cells of a tile have not changed since its sequence
-        key = kind, z, x, y, int(self._index[z].sequence[place]), self._generation, parameters
+        key = kind, z, x, y, int(self._index[z].sequence[place]), self._state, parameters
         return self._cache.get(key, make, lower=z < self.level)
 
 

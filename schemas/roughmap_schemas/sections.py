@@ -51,7 +51,7 @@ class KeepConfig(Section):
     """What the map keeps. The rest is forgotten, by whole tiles; by default nothing is."""
 
     radius: Reach = math.inf
-    """Tiles whose centre is farther from the newest pose of every robot are forgotten."""
+    """Tiles that lie farther from the newest pose of every robot are forgotten."""
     age: Reach = math.inf
     """Tiles without a point for so long are forgotten, by the stamps of the points."""
 

@@ -5,6 +5,7 @@ import numpy.typing as npt
 import pytest
 
 from roughmap import Limits, Noise, RoughMap, Scan, Trajectory
+from roughmap.integration import phases
 from roughmap.points.scan import Fov
 from roughmap.tiles.shelf import Shelf, copy_known_rows, empty_state
 from roughmap.tiles.state import TileState
@@ -187,6 +188,26 @@ def test_cleared_tiles_count_as_changed() -> None:
         assert report.cleared > 10
         assert [0, 0] in report.tiles.tolist()
         assert [0, 0] in m.changed_tiles(0, before)[0].tolist()
+
+
+def test_no_memory_halfway_does_not_pass_for_an_unchanged_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The service goes on after a MemoryError, and its log would say that the scan was not added."""
+
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    with RoughMap(error_model="point") as m:
+        path, (first, *_, last) = way(10), scans()
+        m.add_scan(first, path, NOISE)
+        before = m.digest()
+        with monkeypatch.context() as patch:
+            patch.setattr(phases, "with_columns", fail)
+            with pytest.raises(MemoryError):
+                m.add_scan(last, path, NOISE, clear=True)
+        assert m.digest() == before
+        monkeypatch.setattr(phases, "clear", fail)
+        with pytest.raises(RuntimeError, match="memory ran out"):
+            m.add_scan(last, path, NOISE, clear=True)
 
 
 def test_prepared_scans_clear_too_and_a_reset_map_does_not() -> None:

@@ -405,6 +405,17 @@ def test_slopes_merge_each_tile_once(surface: str, room: int, monkeypatch: pytes
     assert len(merged) == 64 + 16
 
 
+def test_what_changed_alone_is_not_taken_for_the_whole(m: RoughMap) -> None:
+    """Coarse cells made of the changed tiles alone share the cache, and their sequence, with those of all."""
+    put(m, (0, 0, 1.0), (70, 0, 1.0))
+    before = m.sequence
+    put(m, (2, 0, 1.0))
+    for level in (1, 2):
+        with m.freeze(level, after=before) as changed, m.freeze(level) as whole:
+            known = [frozen.known_cells(0, 0) for frozen in (changed, whole, changed)]
+            assert known[0] == known[2] == known[1] - 1
+
+
 def test_an_array_larger_than_the_cache_is_not_kept() -> None:
     cache = MergeCache(limit=10)
     assert cache.get((1,), lambda: np.zeros(11, np.uint8)).size == 11

@@ -83,6 +83,26 @@ def test_a_tile_near_any_robot_is_kept(tmp_path: Path) -> None:
     assert all(abs((x + 0.5) * 6.4) > 13.0 for event in forgotten(logs) for x, _ in event.tiles)
 
 
+def test_a_wrong_stamp_of_a_placed_cloud_ages_nothing(tmp_path: Path) -> None:
+    with LoggedRun(tmp_path / "log", keeping(age=8.0)) as run:
+        drive(run, 20.0)
+        before = set(map(tuple, run.run.map.tile_sequences()[0].tolist()))
+        run.put(Kind.POINTS, cloud(3e8, shift=900.0, frame="map"), "other")
+        (event,) = run.decide()
+        assert event.accepted
+        assert before < set(map(tuple, run.run.map.tile_sequences()[0].tolist()))
+
+
+def test_the_ground_under_a_robot_is_kept_whatever_the_radius(tmp_path: Path) -> None:
+    """The robot stands at the corner of its tile."""
+    with LoggedRun(tmp_path / "log", keeping(radius=0.5)) as run:
+        drive(run, 100.0)
+        tiles = set(map(tuple, run.run.map.tile_sequences()[0].tolist()))
+        x, y, _ = run.run.robots["rover"].buffer.poses[-1].position
+    assert (int(x // 6.4), int(y // 6.4)) in tiles
+    assert forgotten(tmp_path / "log")
+
+
 def test_the_map_comes_back_without_them(tmp_path: Path) -> None:
     """From the log alone; from a store's cut before they were forgotten; and from one behind it."""
     logs, store = tmp_path / "log", Store(tmp_path / "map.db")

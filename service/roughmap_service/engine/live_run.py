@@ -31,7 +31,7 @@ from roughmap_service.journal.items import Sync
 from roughmap_service.journal.recorder import Recorder
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.run.inbox import Arrival, LoggedCloud, Proposal
-from roughmap_service.run.keeping import Keeping, not_kept, pieces
+from roughmap_service.run.keeping import Keeping, not_kept, pieces, present_ns
 from roughmap_service.run.odometry_clock import Verdict
 from roughmap_service.run.run import NoTimes, Run
 from roughmap_service.run.view import View
@@ -134,8 +134,9 @@ class LiveRun:
         event, payload = self._integrate(proposal)
         self._tell(proposal.cloud, event, now, time.monotonic() - begun)
         self._publish_event(payload)
-        if self._keeping.due(self.run.settings, self.run.newest_stamp_ns):
-            self._forget_by_keep()
+        now_ns = present_ns(self.run.robots.values(), self.run.newest_stamp_ns)
+        if self._keeping.due(self.run.settings, now_ns):
+            self._forget_by_keep(now_ns)
         return event
 
     def forget(self, tiles: I4, why: str) -> None:
@@ -151,11 +152,11 @@ class LiveRun:
             text = f"forgot {len(tiles)} {'tile' if len(tiles) == 1 else 'tiles'} of the map: {why}"
             note(logger, logging.INFO, "tiles_forgotten", text, tiles=len(tiles))
 
-    def _forget_by_keep(self) -> None:
+    def _forget_by_keep(self, now_ns: int) -> None:
         run, keep = self.run, self.run.settings.config.map.keep
         with self.view.reading() as rough_map:
             tiles, stamps_ns = rough_map.tile_stamps()
-        chosen = not_kept(tiles, stamps_ns, run.robots.values(), run.settings, run.newest_stamp_ns)
+        chosen = not_kept(tiles, stamps_ns, run.robots.values(), run.settings, now_ns)
         limits = [f"farther than {keep.radius:g} m from all robots"] if math.isfinite(keep.radius) else []
         limits += [f"without a point for {keep.age:g} s"] if math.isfinite(keep.age) else []
         self.forget(tiles[chosen], f"{' or '.join(limits)} (map.keep)")

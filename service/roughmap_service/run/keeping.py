@@ -32,13 +32,24 @@ class Keeping:
         return True
 
 
+def present_ns(robots: Iterable[Robot], newest_ns: int) -> int:
+    """Return the time from which ages count: the newest stamp of points, but not after the newest pose of any robot.
+
+    Clouds that come placed have stamps of their own, which no pose confirms: one wrong one must not age the map.
+    """
+    return min(
+        newest_ns, max((robot.buffer.poses[-1].stamp_ns for robot in robots if robot.buffer.poses), default=newest_ns)
+    )
+
+
 def not_kept(
     tiles: I4, stamps_ns: I8, robots: Iterable[Robot], settings: Settings, now_ns: int
 ) -> npt.NDArray[np.bool_]:
     """Return which of (T, 2) tiles, each with its newest stamp, `map.keep` does not keep.
 
-    Their centre is farther from the newest pose of every robot than the radius, or their newest point is older than the
-    age. Robots without a pose don't count; if none has one, no tile is far.
+    All of them is farther from the newest pose of every robot than the radius, or their newest point is older than the
+    age. So the ground within the radius stays, that under a robot always. Robots without a pose don't count; if none
+    has one, no tile is far.
     """
     side = TILE_CELLS * settings.config.map.cell_size
     far = np.zeros(len(tiles), np.bool_)
@@ -46,10 +57,16 @@ def not_kept(
     if places and math.isfinite(settings.keep_radius):
         far[:] = True
         for x, y, _ in places:
-            along_x, along_y = (tiles[:, 0] + 0.5) * side - x, (tiles[:, 1] + 0.5) * side - y
+            along_x, along_y = _beyond(tiles[:, 0], side, x), _beyond(tiles[:, 1], side, y)
             far &= np.sqrt(along_x * along_x + along_y * along_y) > settings.keep_radius
     old = stamps_ns < now_ns - settings.keep_age_ns
     return far | old
+
+
+def _beyond(number: I4, side: float, place: float) -> npt.NDArray[np.float64]:
+    """Return how far tiles are from a place along one axis, 0 for those that reach over it."""
+    beyond: npt.NDArray[np.float64] = np.maximum(np.abs((number + 0.5) * side - place) - 0.5 * side, 0.0)
+    return beyond
 
 
 def pieces(tiles: I4) -> Iterator[I4]:
