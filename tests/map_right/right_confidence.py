@@ -9,6 +9,9 @@ from right_row import Row
 FEWEST = 1000
 """Cells of a stratum, for its share to be known to about a point of percent."""
 
+MARK = 3.0
+"""Points of percent."""
+
 AT_ONCE = "two robots at once"
 """Judged by itself: a cell does not know whose pose its last point had, and takes the errors of two robots that stand
 side by side for one and the same. It believes itself too little, never too much."""
@@ -33,9 +36,10 @@ def rows(seed: int, cells: int) -> list[Row]:
 def _worst(on: str, own: Sequence[confidence.Row], why: str) -> Row:
     worst = max(own, key=lambda row: abs(row.covered - row.stated))
     paper = max(100.0 * abs(row.paper - row.stated) for row in own if not math.isnan(row.paper))
-    over = 100.0 * max(row.stated - row.covered for row in own)
-    note = (f"{why}{len(own)} strata and levels; worst: {worst.points} points, {worst.scans} scans, "
-            f"{worst.pose_error}, {worst.ground}: {worst.stated:.0%} stated, {worst.covered:.1%} held; "
-            f"claims too much by at most {max(over, 0.0):.1f}")  # fmt: skip
+    differ = [100.0 * (row.covered - row.stated) for row in own]
+    beyond = sum(abs(points) > MARK for points in differ)
+    note = (f"{why}beyond in {beyond} of {len(own)} strata and levels; claims too much by at most "
+            f"{max(0.0, -min(differ)):.1f}; worst: {worst.points} points, {worst.scans} scans, {worst.pose_error}, "
+            f"{worst.ground}: {worst.stated:.0%} stated, {worst.covered:.1%} of {worst.cells} cells held")  # fmt: skip
     off = 100.0 * abs(worst.covered - worst.stated)
-    return Row(on, "confidence off at most", "points", off, 3.0, before=paper, note=note)
+    return Row(on, "confidence off at most", "points", off, MARK, before=paper, note=note)

@@ -6,10 +6,11 @@ did; so it hides what is behind it, and the hall around it is the recorded one.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from right_cast import Post
-from right_hall import BOX, Truth
+from right_hall import AT_FLOOR, BOX, Truth
 from right_maps import add, make_map, seen
 from right_recordings import Hall
 from right_row import Row
@@ -126,10 +127,32 @@ class Case:
     rounds: int
 
 
-def blocked(surface: str, hall: Hall, true: Truth, case: Case, model: str, limits: Limits) -> tuple[float, float, int]:
-    """Percent of the open cells that returned something of a person which are forbidden, in the last scan that sees
-    people, and 2 s after; and the number of people."""
-    cells = then = after = number = 0
+class Blocked(NamedTuple):
+    """Of the open ``cells`` that returned something of one of ``people``: how many are forbidden in the last scan that
+    sees them (``then``) and 2 s after (``left``); and of those left, how many have the person for their ground."""
+
+    people: int
+    cells: int
+    then: int
+    left: int
+    ground: int
+
+    @property
+    def share(self) -> float:
+        """Percent of the cells that are left."""
+        return 100.0 * self.left / self.cells
+
+    @property
+    def note(self) -> str:
+        return (
+            f"{self.left} of {self.cells} cells; {self.then} in the last scan that saw them; {self.people} people; "
+            f"{self.ground} have the person for their ground: too few returns of the floor since"
+        )
+
+
+def blocked(surface: str, hall: Hall, true: Truth, case: Case, model: str, limits: Limits) -> Blocked:
+    """People in as many maps as the case says, and what is left of them."""
+    cells = then = left = ground = number = 0
     for turn in range(case.rounds):
         rng = np.random.default_rng([case.seed, turn])
         walks = people(hall, true, rng, case.step, case.backed)
@@ -152,8 +175,9 @@ def blocked(surface: str, hall: Hall, true: Truth, case: Case, model: str, limit
         number += len(walks)
         cells += int(was.sum())
         then += int(while_there.forbidden[was].sum())
-        after += int(now.forbidden[was].sum())
-    return 100.0 * then / cells, 100.0 * after / cells, number
+        left += int(now.forbidden[was].sum())
+        ground += int((np.abs(now.height - true.floor) > AT_FLOOR)[was & now.forbidden].sum())
+    return Blocked(number, cells, then, left, ground)
 
 
 def rows(hall: Hall, true: Truth, seed: int, rounds: int, model: str) -> list[Row]:
@@ -169,9 +193,8 @@ def rows(hall: Hall, true: Truth, seed: int, rounds: int, model: str) -> list[Ro
             ("anywhere, field of view declared", False, Limits(fov=FIELD), 1.0),
         ):
             case = Case(step, backed, seed, rounds)
-            before = blocked("all", hall, true, case, model, Limits())[1] if mark else None
-            then, after, number = blocked("ground", hall, true, case, model, limits)
-            note = f"of {then:.0f} % in the last scan that saw them; {number} people"
+            before = blocked("all", hall, true, case, model, Limits()).share if mark else None
+            after = blocked("ground", hall, true, case, model, limits)
             figure = f"a person who {what}: cells blocked 2 s later"
-            made.append(Row(f"hall, {model}, {on}", figure, "%", after, mark, before=before, note=note))
+            made.append(Row(f"hall, {model}, {on}", figure, "%", after.share, mark, before=before, note=after.note))
     return made
