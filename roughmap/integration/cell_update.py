@@ -30,12 +30,15 @@ def update_cell(
     delta = h - mean
     low = values[5]
     high = values[6]
-    # A choice of values, no branch: nothing foretells which cells are new.
-    new = count == 0
-    mean = h if new else mean + delta * g
-    low = h if new else min(low, h)
-    high = h if new else max(high, h)
-    values[4] += (W * g) * (delta * delta)
+    if count == 0:
+        mean = h
+        low = h
+        high = h
+    else:
+        mean = mean + delta * g
+        low = min(low, h)
+        high = max(high, h)
+        values[4] += (W * g) * (delta * delta)
     d = max(abs(h - mean), min_distance)
     # The count stops at 2^32 - 1: wrapping to 0 would make the cell unknown.
     count = count if count == _COUNT else count + np.uint64(1)

@@ -32,14 +32,14 @@ def update_trust(address: Scalar, g: Scalar, common: Scalar, mount: Scalar, ms: 
     g = np.float32(g)
     r = _ONE - g
     V, L, C, M = trust[_V], trust[_L], trust[_C], trust[_M]
-    # 32 bits wrap: the smaller of both differences. No branch if it is 0, as that of most points is: those of new
-    # scans come among them as they please, and a wrong guess costs more than the division.
-    ahead, behind = np.uint32(ms - stamp[_MS]), np.uint32(stamp[_MS] - ms)
-    d = np.float32(np.int64(min(ahead, behind)))
-    y = max(_ZERO, _ONE - d / span)
-    square = y * y
-    L = L * (square * square)
-    stamp[_MS] = ms
+    if stamp[_MS] != ms:
+        # 32 bits wrap: the smaller of both differences.
+        ahead, behind = np.uint32(ms - stamp[_MS]), np.uint32(stamp[_MS] - ms)
+        d = np.float32(np.int64(min(ahead, behind)))
+        y = max(_ZERO, _ONE - d / span)
+        square = y * y
+        L = L * (square * square)
+        stamp[_MS] = ms
     own = g * common
     V = r * (r * V + (_TWO * g) * L) + (g * g) * common
     trust[_V] = V
