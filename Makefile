@@ -56,7 +56,7 @@ bench: $(READY)  ## measure all speed figures with targets and references; pictu
 
 bench-against: $(READY)  ## compare with an older version in alternating processes: REV=0f7ab12; ARGS="--only kernel"
 	@test -n "$(REV)" || { echo "no older version: make bench-against REV=COMMIT"; exit 1; }
-	$(BIN)/python tests/bench/against.py "$(REV)" $(ARGS)
+	$(BIN)/python tests/bench/against.py "$(REV)" $(if $(DATA),--data "$(DATA)") $(ARGS)
 
 bench-peers: $(READY)  ## measure other Python libraries on the same points, in an environment of their own
 	$(BIN)/python tests/bench/peers.py $(ARGS)

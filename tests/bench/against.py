@@ -1,6 +1,7 @@
 """This version against an older one: the same jobs in fresh processes of each in turn, one table.
 
-    python tests/bench/against.py REV [--pairs N] [--only ROW] [--quick] [--out FOLDER]
+    python tests/bench/against.py REV [--pairs N] [--only ROW] [--quick] [--data FOLDER]
+                                    [--out FOLDER]
 
 REV is any git revision. Its sources are put into a temporary folder and removed at the end, also after Ctrl-C; the new
 version is this tree as it is. Both run with this Python and its libraries, on the same scans. A pair is a process of
@@ -96,11 +97,12 @@ class Comparison:
 def measured(rows: Sequence[Compared], versions: Sequence[Version], given: argparse.Namespace, out: Path) -> list[str]:
     """Measure all rows, job by job; names of maps that are not the same in both."""
     other: list[str] = []
+    data = given.data and str(given.data.resolve())
     for job, usual in PAIRS.items():
         own = [row for row in rows if row.spec.job == job]
         if not own:
             continue
-        comparison = Comparison(job, own, versions, {"scans": str(out), "quick": given.quick})
+        comparison = Comparison(job, own, versions, {"scans": str(out), "quick": given.quick, "data": data})
         pairs = given.pairs or (1 if given.quick else usual)
         say(f"{job}: pairs of processes: {pairs}; the first may compile kernels for a minute or two")
         if not given.quick:
@@ -120,6 +122,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--pairs", type=int, help="pairs of processes of each row [15; 3 to 7 where one takes long]")
     parser.add_argument("--only", action="append", default=[], metavar="ROW", help="this row or job; may be repeated")
     parser.add_argument("--quick", action="store_true", help="few scans, one pair: is it whole?")
+    parser.add_argument("--data", type=Path, help="a folder of recordings, for the rows of recorded points")
     parser.add_argument("--out", type=Path, default=Path("bench"), help="for table, JSON and scans [bench]")
     given = parser.parse_args(arguments)
     if unknown := [name for name in given.only if not chosen([name])]:

@@ -1,6 +1,7 @@
 """What a fresh process measures of one version: `against_jobs.py JSON`, its values as JSON on standard output.
 
-The JSON: job; tree (the version's); scans (folder); work (an empty folder); keys (the rows that are wanted); quick.
+The JSON: job; tree (the version's); scans (folder); work (an empty folder); keys (the rows that are wanted); quick;
+data (a folder of recordings) or not.
 Everything here uses only what versions have in common: the public names of the packages, and the command line.
 """
 
@@ -12,10 +13,19 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from figures import Bench
+
+if TYPE_CHECKING:
+    from roughmap import RoughMap
+
+RECORDED = {"hall", "offroad", "broken"}
+"""Kernel rows of recorded points."""
+
+Fills = dict[str, tuple[int, Callable[[], "RoughMap"]]]
+"""By row: the number of points, and what makes their map."""
 
 
 @dataclass
@@ -29,7 +39,7 @@ class Measured:
 
 def kernel(bench: Bench, work: Path, keys: set[str], found: Measured) -> None:
     """CPU time of one thread on one core: the least of the rounds, since what disturbs only adds."""
-    from core_rows import add_all, build, filled
+    from core_rows import add_all, filled
     from scans import SCANS, moving, recorded, still
 
     recording = recorded(bench.folder, 3 if bench.quick else SCANS)
@@ -42,26 +52,46 @@ def kernel(bench: Bench, work: Path, keys: set[str], found: Measured) -> None:
         "ellipsoid": ("ellipsoid", still(recording)),
     }
     wanted = {key.split(".")[1] for key in keys} | ({"new"} if "kernel.deskew.cost" in keys else set())
+    fills: Fills = {name: (drive.points, partial(filled, model, drive)) for name, (model, drive) in kinds.items()}
+    fills |= _of_recordings(bench, found) if wanted & RECORDED else {}
     runs: dict[str, Callable[[], object]] = {}
-    for name, (model, drive) in kinds.items():
-        if name not in wanted:
-            continue
+    for name in fills.keys() & wanted:
+        make = fills[name][1]
         try:
-            held = filled(model, drive)
+            held = make()
             found.maps[name] = held.digest()
         except Exception as error:  # noqa: BLE001 - whatever an old version can't do, the other rows go on
             found.missing[f"kernel.{name}"] = f"{type(error).__name__}: {error}"
             continue
         if name == "known":
-            runs[name] = partial(add_all, held, drive)
+            runs[name] = partial(add_all, held, kinds[name][1])
         else:
             held.close()
-            runs[name] = partial(build, model, drive)
+            runs[name] = partial(_make, make)
     taken = bench.interleaved(9, runs, clock=time.process_time)
     seconds = {name: min(each) for name, each in taken.items()}
-    found.values |= {f"kernel.{name}": s / kinds[name][1].points * 1e9 for name, s in seconds.items()}
+    found.values |= {f"kernel.{name}": s / fills[name][0] * 1e9 for name, s in seconds.items()}
     if {"new", "deskew"} <= seconds.keys():
         found.values["kernel.deskew.cost"] = seconds["deskew"] / seconds["new"]
+
+
+def _make(make: Callable[[], "RoughMap"]) -> None:
+    make().close()
+
+
+def _of_recordings(bench: Bench, found: Measured) -> Fills:
+    """The maps of recorded points: how many, and what makes one; none without the folder, and the rows say why."""
+    from core_rows import filled
+
+    if bench.data is None:
+        found.missing |= {f"kernel.{name}": "needs recordings: --data FOLDER" for name in RECORDED}
+        return {}
+    import recorded_drives
+
+    drives = {"hall": recorded_drives.hall(bench.data), "offroad": recorded_drives.offroad(bench.data)}
+    points = recorded_drives.survey(bench.data)
+    made = {name: (drive.points, partial(filled, "cuboid", drive)) for name, drive in drives.items()}
+    return made | {"broken": (len(points), partial(recorded_drives.surveyed, points))}
 
 
 def threads(bench: Bench, work: Path, keys: set[str], found: Measured) -> None:
@@ -177,7 +207,8 @@ def main(given: dict[str, Any]) -> int:
     check_packages(Path(given["tree"]), packages)
     found = Measured()
     keys = set(given["keys"])
-    measure(Bench(Path(given["scans"]), given["quick"]), Path(given["work"]), keys, found)
+    bench = Bench(Path(given["scans"]), given["quick"], Path(given["data"]) if given.get("data") else None)
+    measure(bench, Path(given["work"]), keys, found)
     values = {key: value for key, value in found.values.items() if key in keys}
     print(json.dumps({"values": values, "missing": found.missing, "maps": found.maps}))
     return 0

@@ -105,10 +105,13 @@ def missing_row(key: str, figure: str, unit: str, mark: Mark | None, why: str) -
 
 @dataclass(frozen=True)
 class Bench:
-    """How the benchmark is run. ``folder``: where it keeps scans, libraries and services' files."""
+    """How the benchmark is run. ``folder``: where it keeps scans, libraries and services' files. ``data``: recordings,
+    or None.
+    """
 
     folder: Path
     quick: bool
+    data: Path | None = None
 
     def rounds(self, number: int) -> int:
         """So many, or two where only wholeness counts."""

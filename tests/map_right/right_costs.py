@@ -13,9 +13,9 @@ MARKS = {"kernel.new": 1.15, "kernel.known": 1.15, "kernel.hall": 1.4, "kernel.o
 """New over old, where the comparison has such a row."""
 
 
-def rows(revision: str, out: Path) -> list[Row]:
+def rows(revision: str, data: Path, out: Path) -> list[Row]:
     """Ratios of CPU time a point, medians of alternating pairs."""
-    command = [sys.executable, str(AGAINST), revision, "--only", "kernel", "--out", str(out)]
+    command = [sys.executable, str(AGAINST), revision, "--only", "kernel", "--data", str(data), "--out", str(out)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     table = json.loads((out / "against.json").read_text())["rows"]
     return [

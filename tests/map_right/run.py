@@ -125,7 +125,7 @@ def main(arguments: list[str]) -> int:
         say(f"{name}: {len(made)} figures, {missed} missed, {time.monotonic() - begun:.0f} s")
         rows += made
     if given.against:
-        rows += right_costs.rows(given.against, given.out)
+        rows += right_costs.rows(given.against, given.data, given.out)
     text = "\n".join(lines(rows))
     (given.out / "right.md").write_text(text + "\n")
     record = {"seed": given.seed, "rows": [row.record() for row in rows]}
