@@ -97,10 +97,12 @@ def _floors(way: np.ndarray, true: Truth) -> list[float]:
     """The floor's height at each place of the way; nothing if something stands there."""
     floors = []
     for x, y in way:
-        around = np.hypot(true.grid.x - x, true.grid.y - y) < RADIUS + 0.1
-        if not true.bare[around].all():
+        (j,), (i,) = true.grid.where(np.array([[x, y]]))
+        near = np.s_[max(j - 5, 0) : j + 6, max(i - 5, 0) : i + 6]
+        around = np.hypot(true.grid.x[near] - x, true.grid.y[near] - y) < RADIUS + 0.1
+        if not true.bare[near][around].all():
             return []
-        floors.append(float(true.floor[around].mean()))
+        floors.append(float(true.floor[near][around].mean()))
     return floors
 
 
@@ -139,8 +141,8 @@ class Blocked(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Percent of the cells that are left."""
-        return 100.0 * self.left / self.cells
+        """Percent of the cells that are left; NaN of none."""
+        return 100.0 * self.left / self.cells if self.cells else math.nan
 
     @property
     def note(self) -> str:
