@@ -21,9 +21,9 @@ def build(model: str, drive: Drive, threads: int = 1) -> str:
         return f"{built.tile_count} tiles"
 
 
-def filled(model: str, drive: Drive, threads: int = 1) -> RoughMap:
+def filled(model: str, drive: Drive, threads: int = 1, surface: str = "ground") -> RoughMap:
     """The map of all scans, everything else by default."""
-    built = RoughMap(CELL_SIZE, model, threads=threads)
+    built = RoughMap(CELL_SIZE, model, threads=threads, surface=surface)
     add_all(built, drive)
     return built
 
@@ -68,10 +68,10 @@ def _references(bench: Bench, drives: dict[str, Drive]) -> dict[str, Callable[[]
         wide_core = c_core(bench.folder, drives["wide"])
     except NoCompiler:
         return {}
-    with filled("cuboid", drives["still"]) as built:
+    with filled("cuboid", drives["still"], surface="all") as built:
         check_equal(whole(keep=True) or {}, built)
         check_equal(core(), built)
-    with filled("cuboid", drives["wide"]) as built:
+    with filled("cuboid", drives["wide"], surface="all") as built:
         check_equal(wide_core(), built)
     return {WHOLE: whole, CORE: core, WIDE_CORE: wide_core}
 
