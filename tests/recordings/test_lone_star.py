@@ -23,7 +23,7 @@ def test_the_survey_by_both_methods(survey: np.ndarray, model: str) -> None:
     assert len(survey) == 518_862
     assert np.abs(survey[:, :2]).max() > 1e5
     S = np.array([[4.0, 1.0, 1.0], [1.0, 9.0, -1.0], [1.0, -1.0, 4.0]]) * 1e-4
-    m = RoughMap(cell_size=0.1, error_model=model)
+    m = RoughMap(cell_size=0.1, error_model=model, surface="all")
     for begin in range(0, len(survey), 100_000):
         m.add(survey[begin : begin + 100_000], S, stamp_ns=begin * 10**6)
     stamps = np.arange(len(survey)) // 100_000 * 100_000 * 10**6

@@ -77,7 +77,10 @@ def ranges(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Ranges
     found, events = {}, {}
     stamps, positions, rotations = poses(folder)
     # Poses lie up to 4 s apart; the point model, so that a cell's range is that of the points which fell into it.
-    settings = {"map": {"error_model": "point"}, "input": {"max_pose_gap": 5.0, "pose_history": 200.0}}
+    settings = {
+        "map": {"error_model": "point", "surface": "all"},
+        "input": {"max_pose_gap": 5.0, "pose_history": 200.0},
+    }
     for name, offsets in (("deskewed", times), ("still", None)):
         with Service(tmp_path_factory.mktemp(name), **settings) as service:
             with connected(service) as feed:
