@@ -2,14 +2,13 @@
 
 import itertools
 import sqlite3
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zenoh
-from net import Gathered
+from net import Gathered, wait_until
 from processes import GROUND, LEVEL, PRECISE, T0, Feed, Service, connected, events_in, replay, running
 
 from roughmap_client import QueryRefused, Tile
@@ -120,8 +119,7 @@ def test_what_an_operator_forgets(tmp_path: Path) -> None:
             assert all(x < -10 for _, x, _ in tiles)
             assert tiles
             assert feed.client.status().forgotten == answer.tiles + old.tiles
-            while feed.client.status().durable_sequence < old.sequence:
-                time.sleep(0.05)
+            wait_until(lambda: feed.client.status().durable_sequence >= old.sequence, "the log of what was forgotten")
             service.line('"event": "tiles_forgotten"')
         service.kill()  # so that the store is still the one before
     with Service(tmp_path, store=store) as service:

@@ -7,12 +7,10 @@ import pytest
 import xxhash
 from read_tools import TILE_SHAPE, chance_tile, state_of
 
-from roughmap.cell import CELL_DTYPE
 from roughmap.map import RoughMap
 from roughmap.reading import levels
 from roughmap.reading.cell_values import cell_layers
 from roughmap.reading.layers import CELL_LAYERS, layers_of
-from roughmap.reading.merge_cache import MergeCache
 from roughmap.settings import SURFACES
 from roughmap.tiles.digest import tile_digest
 
@@ -348,41 +346,6 @@ def test_many_threads_read_one_frozen_map(m: RoughMap) -> None:
         assert len(set(found)) == 1
 
 
-def test_the_cache_is_bounded() -> None:
-    cache = MergeCache(limit=3 * 4096 * 64)
-    made: list[int] = []
-
-    def make(n: int) -> np.ndarray:
-        made.append(n)
-        return np.zeros(4096, CELL_DTYPE)
-
-    for n in (0, 1, 2, 0, 3, 0, 1):
-        cache.get((n,), lambda n=n: make(n))
-        assert cache.nbytes <= cache.limit
-    # 1 was the least recently used when 3 was added, then 2 when 1 was added again
-    assert made == [0, 1, 2, 3, 1]
-
-
-def test_lower_levels_do_not_evict_the_level_that_is_read() -> None:
-    cache = MergeCache(limit=4 * 4096 * 64)
-    made: list[int] = []
-
-    def get(n: int, *, lower: bool = False) -> None:
-        cache.get((n,), lambda: made.append(n) or np.zeros(4096, CELL_DTYPE), lower=lower)  # type: ignore[func-returns-value]
-        assert cache.nbytes <= cache.limit
-
-    for n in range(10, 14):
-        get(n, lower=True)
-    for n in (13, 0, 1, 10, 11, 0, 1):  # lower levels may use the whole cache while there is nothing else
-        get(n, lower=n > 1)
-    assert made == [10, 11, 12, 13, 0, 1, 10, 11]
-    for n in (2, 3, 4):  # the least recently used entries of the level go when lower ones take less than half
-        get(n)
-    for n in (10, 11):
-        get(n, lower=True)
-    assert made == [10, 11, 12, 13, 0, 1, 10, 11, 2, 3, 4]
-
-
 @pytest.mark.parametrize(("surface", "room"), [("all", 22), ("ground", 33)])
 def test_slopes_merge_each_tile_once(surface: str, room: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The cache holds far fewer than all tiles: the neighbours of a tile are needed again with the next column.
@@ -414,12 +377,6 @@ def test_what_changed_alone_is_not_taken_for_the_whole(m: RoughMap) -> None:
         with m.freeze(level, after=before) as changed, m.freeze(level) as whole:
             known = [frozen.known_cells(0, 0) for frozen in (changed, whole, changed)]
             assert known[0] == known[2] == known[1] - 1
-
-
-def test_an_array_larger_than_the_cache_is_not_kept() -> None:
-    cache = MergeCache(limit=10)
-    assert cache.get((1,), lambda: np.zeros(11, np.uint8)).size == 11
-    assert cache.nbytes == 0
 
 
 def test_bad_levels(m: RoughMap) -> None:

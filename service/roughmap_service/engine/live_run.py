@@ -7,7 +7,10 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
-from roughmap.arrays import I4
+import numpy as np
+import numpy.typing as npt
+
+from roughmap.arrays import I4, I8
 from roughmap_schemas import (
     Cloud,
     CloudReason,
@@ -38,6 +41,9 @@ from roughmap_service.run.view import View
 from roughmap_service.store.memory_limit import MemoryLimit
 
 logger = logging.getLogger(__name__)
+
+Choose = Callable[[I4, I8], npt.NDArray[np.bool_]]
+"""Chooses among the (T, 2) tiles of the map, each with its newest stamp."""
 
 
 class LiveRun:
@@ -139,8 +145,11 @@ class LiveRun:
             self._forget_by_keep(now_ns)
         return event
 
-    def forget(self, tiles: I4, why: str) -> None:
-        """Erase (T, 2) level-0 tiles of the map, ascending, log it and say so."""
+    def forget(self, choose: Choose, why: str) -> int:
+        """Erase the level-0 tiles that ``choose`` chooses, log it and say so; return their number."""
+        with self.view.reading() as rough_map:
+            tiles, stamps_ns = rough_map.tile_stamps()
+        tiles = tiles[choose(tiles, stamps_ns)]
         for some in pieces(tiles):
             with self.view.change():
                 event = self.run.forget(some)
@@ -151,15 +160,15 @@ class LiveRun:
             self._counters.forgotten(len(tiles))
             text = f"forgot {len(tiles)} {'tile' if len(tiles) == 1 else 'tiles'} of the map: {why}"
             note(logger, logging.INFO, "tiles_forgotten", text, tiles=len(tiles))
+        return len(tiles)
 
     def _forget_by_keep(self, now_ns: int) -> None:
-        run, keep = self.run, self.run.settings.config.map.keep
-        with self.view.reading() as rough_map:
-            tiles, stamps_ns = rough_map.tile_stamps()
-        chosen = not_kept(tiles, stamps_ns, run.robots.values(), run.settings, now_ns)
+        robots, settings = self.run.robots.values(), self.run.settings
+        keep = settings.config.map.keep
         limits = [f"farther than {keep.radius:g} m from all robots"] if math.isfinite(keep.radius) else []
         limits += [f"without a point for {keep.age:g} s"] if math.isfinite(keep.age) else []
-        self.forget(tiles[chosen], f"{' or '.join(limits)} (map.keep)")
+        why = f"{' or '.join(limits)} (map.keep)"
+        self.forget(lambda tiles, stamps_ns: not_kept(tiles, stamps_ns, robots, settings, now_ns), why)
 
     def checkpoint(self, *, last: bool = False) -> None:
         """Log the map's digest if the map changed since the last checkpoint.

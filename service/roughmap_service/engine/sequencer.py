@@ -6,12 +6,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
-from roughmap.arrays import I4, I8
 from roughmap_schemas import ResetEvent
-from roughmap_service.engine.live_run import LiveRun, log_fault
+from roughmap_service.engine.live_run import Choose, LiveRun, log_fault
 from roughmap_service.host.ending import ShuttingDown
 from roughmap_service.inputs.queue import InputQueue
 from roughmap_service.journal.items import Rotate, Sync
@@ -31,10 +27,6 @@ PATIENCE_SECONDS = 0.1
 
 MEMORY_SECONDS = 0.1
 """The time between two looks at the memory while nothing is decided: readers and queues take memory too."""
-
-
-Choose = Callable[[I4, I8], npt.NDArray[np.bool_]]
-"""Chooses among the (T, 2) tiles of the map, each with its newest stamp."""
 
 
 class NotFollowed(BaseException):
@@ -149,11 +141,8 @@ class Sequencer:
         if not self._writer.wait_room(IDLE_SECONDS):
             raise log_fault(self._writer.error)
         live = self.live
-        with live.view.reading() as rough_map:
-            tiles, stamps_ns = rough_map.tile_stamps()
-        tiles = tiles[choose(tiles, stamps_ns)]
-        live.forget(tiles, why)
-        return live.run.map.sequence, live.run.epoch, len(tiles)
+        number = live.forget(choose, why)
+        return live.run.map.sequence, live.run.epoch, number
 
     def _empty(self, event: ResetEvent) -> bool:
         """Carry out a logged reset once it is on disk. Return False if the service stops before that."""
