@@ -14,6 +14,7 @@ from roughmap_schemas.faults import ConfigFault
 from roughmap_schemas.keys import TEMPLATES, Keys
 from roughmap_schemas.layers import layers_of
 from roughmap_schemas.robot_sections import Policy, RobotConfig, SensorConfig
+from roughmap_schemas.ros2_sections import Ros2Config
 from roughmap_schemas.sections import (
     HttpConfig,
     InputConfig,
@@ -68,6 +69,7 @@ class Config(Section):
     store: StoreConfig = StoreConfig()
     http: HttpConfig = HttpConfig()
     service: ServiceConfig = ServiceConfig()
+    ros2: Ros2Config = Ros2Config()
     keys: Annotated[dict[str, str], AfterValidator(_all_keys)] = Field(default={})
     """Key expressions by name, see ``keys.TEMPLATES``; complete after loading."""
 

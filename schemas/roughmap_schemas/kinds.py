@@ -1,6 +1,7 @@
 """The kinds of messages, and of channels in the log."""
 
 from enum import StrEnum
+from typing import NamedTuple
 
 
 class Kind(StrEnum):
@@ -16,3 +17,11 @@ class Kind(StrEnum):
 
 
 INPUTS = (Kind.POINTS, Kind.ODOMETRY, Kind.TRANSFORM)
+
+
+class RobotMessage(NamedTuple):
+    """A cloud, a pose or a transform: its payload for `robots/NAME/points` and its like, and when it came, in ns."""
+
+    kind: Kind
+    payload: bytes
+    log_ns: int

@@ -28,6 +28,9 @@ class SensorConfig(Section):
     """Position of the sensor in the robot's base frame."""
     rotation: Rotation = (0.0, 0.0, 0.0, 1.0)
     """Rotation of the sensor in the robot's base frame: quaternion x y z w."""
+    extrinsics: Literal["configured", "transform"] = "configured"
+    """Where the sensor's pose on the robot comes from: `translation` and `rotation`, or the robot's transform message
+    whose child is this sensor's frame (from ROS 2: tf)."""
     range_sigma: NotNegative
     """Standard deviation of a range."""
     range_sigma_per_m: NotNegative = 0.0

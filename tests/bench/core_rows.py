@@ -21,9 +21,9 @@ def build(model: str, drive: Drive, threads: int = 1) -> str:
         return f"{built.tile_count} tiles"
 
 
-def filled(model: str, drive: Drive, threads: int = 1, surface: str = "ground") -> RoughMap:
-    """The map of all scans, everything else by default."""
-    built = RoughMap(CELL_SIZE, model, threads=threads, surface=surface)
+def filled(model: str, drive: Drive, threads: int = 1, **settings: str) -> RoughMap:
+    """The map of all scans; what is not given stays at its default, which older versions know too."""
+    built = RoughMap(CELL_SIZE, model, threads=threads, **settings)
     add_all(built, drive)
     return built
 

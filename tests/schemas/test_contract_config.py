@@ -85,6 +85,7 @@ DEFAULTS = {
     "store": {"path": None},
     "http": {"listen": "127.0.0.1:8080"},
     "service": {"shutdown_timeout": 8.0, "alive_wait": 15.0},
+    "ros2": {"keys": "rmw_zenoh", "domain": 0, "node": "roughmap", "robots": {}, "out": {}},
     "keys": dict(TEMPLATES),
 }
 """The contract's table, by hand."""
@@ -103,6 +104,7 @@ FREE = {
 SENSOR_DEFAULTS = {
     "translation": (0, 0, 0),
     "rotation": (0, 0, 0, 1),
+    "extrinsics": "configured",
     "range_sigma": 0.02,
     "range_sigma_per_m": 0,
     "beam_sigma": 0,
