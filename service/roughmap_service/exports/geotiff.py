@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import rasterio
+from affine import Affine
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp
 from rasterio.errors import CRSError
 from rasterio.shutil import copy
-from rasterio.transform import from_origin
 from rasterio.windows import Window
 
 from roughmap_service.exports.sheet import ExportFault, Sheet
@@ -35,7 +35,7 @@ def write_geotiff(sheet: Sheet, file: Path) -> None:
         "driver": "GTiff", "width": columns, "height": rows, "count": len(sheet.layers), "dtype": "float32",
         "nodata": np.nan, "tiled": True, "blockxsize": BLOCK, "blockysize": BLOCK, "compress": "zstd",
         "sparse_ok": True, "bigtiff": "if_safer", "interleave": "band",
-        "transform": from_origin(sheet.low[0], sheet.high[1], sheet.cell_size, sheet.cell_size),
+        "transform": Affine(sheet.cell_size, 0.0, sheet.low[0], 0.0, -sheet.cell_size, sheet.high[1]),
     }  # fmt: skip
     with rasterio.Env(GDAL_CACHEMAX=256 << 20), tempfile.TemporaryDirectory(dir=file.parent, prefix=".export-") as room:
         sparse = Path(room) / "sparse.tif"
@@ -51,7 +51,7 @@ def write_geotiff(sheet: Sheet, file: Path) -> None:
                 height, width = part.values.shape[:2]
                 window = Window(part.i, rows - part.j - height, width, height)
                 written.write(np.moveaxis(part.values[::-1], 2, 0), window=window)
-        copy(sparse, file, driver="COG", compress="deflate", predictor="yes", blocksize=BLOCK, sparse_ok=True,
+        copy(sparse, file, driver="COG", compress="deflate", blocksize=BLOCK, sparse_ok=True,
              resampling="average", bigtiff="if_safer")  # fmt: skip
 
 

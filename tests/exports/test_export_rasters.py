@@ -1,0 +1,81 @@
+"""Rasters, read back by other libraries than those that wrote them, and compared cell by cell."""
+
+import numpy as np
+import pytest
+import rasterio
+import tifffile
+import yaml
+from exported_map import LAYERS, SIDE, Stored
+from PIL import Image
+
+
+def test_a_geotiff_has_the_layers_their_units_and_their_place(stored: Stored, export) -> None:
+    file = export("ground.tif", "--crs", "EPSG:32633")
+    with tifffile.TiffFile(file) as tiff:
+        page = tiff.pages[0]
+        values, tags, said = page.asarray(), page.geotiff_tags, page.tags["GDAL_METADATA"].value
+        no_data = page.tags["GDAL_NODATA"].value
+    for number, name in enumerate(LAYERS):
+        assert np.array_equal(values[::-1, :, number], stored.layers[name], equal_nan=True), name
+        assert f'sample="{number}" role="description">{name}<' in said
+    assert 'role="unittype">rad<' in said
+    assert no_data == "nan"
+    assert tags["ProjectedCSTypeGeoKey"] == 32633
+    assert tags["ModelPixelScale"][:2] == [SIDE, SIDE]
+    top = stored.low[1] + SIDE * len(stored.layers["slope"])
+    assert tags["ModelTiepoint"] == [0, 0, 0, stored.low[0], top, 0]
+
+
+def test_a_geotiff_is_cloud_optimised(export) -> None:
+    with rasterio.open(export("ground.tif")) as opened:
+        assert opened.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+
+
+def test_an_npz_has_the_arrays(stored: Stored, export) -> None:
+    with np.load(export("ground.npz")) as arrays:
+        for name in LAYERS:
+            assert np.array_equal(arrays[name], stored.layers[name], equal_nan=True)
+        assert tuple(arrays["origin"]) == stored.low
+        assert arrays["cell_size"] == SIDE
+
+
+def test_an_ascii_grid_is_read_by_gdal(stored: Stored, export) -> None:
+    with rasterio.open(export("ground.asc", "--layers", "max_height")) as opened:
+        values, masked = opened.read(1), opened.read_masks(1)
+        assert opened.bounds[:2] == stored.low
+        assert opened.res == (SIDE, SIDE)
+    known = np.isfinite(stored.layers["max_height"])
+    assert np.array_equal(masked[::-1] > 0, known)
+    assert np.array_equal(values[::-1][known], stored.layers["max_height"][known])
+
+
+def test_a_picture_is_where_its_world_file_says(stored: Stored, export) -> None:
+    file = export("ground.png", "--layers", "traversability")
+    with Image.open(file) as image:
+        shown = np.asarray(image.convert("RGBA"))[::-1]
+        shades = np.asarray(image)[::-1]
+    values = stored.layers["traversability"]
+    known = np.isfinite(values)
+    assert np.array_equal(shown[:, :, 3] > 0, known)
+    assert np.array_equal(shades[known], np.round(values[known].astype(float) * 254).astype(np.uint8))
+    with rasterio.open(file) as opened:  # GDAL reads the world file
+        assert opened.bounds[:2] == pytest.approx(stored.low, abs=1e-9)  # corner to centre and back rounds
+        assert opened.res == (SIDE, SIDE)
+
+
+def test_a_map_for_nav2_is_as_map_server_reads_it(stored: Stored, export) -> None:
+    file = export("ground.yaml", "--threshold", "0.4")
+    said = yaml.safe_load(file.read_text())
+    with Image.open(file.with_name(said["image"])) as image:
+        shade = np.asarray(image).astype(float)
+    # map_server: occupancy is (255 - shade) / 255, the first row is the highest y, origin the lower left corner.
+    assert said["negate"] == 0
+    assert said["mode"] == "trinary"
+    occupancy = (255 - shade[::-1]) / 255
+    cells = np.where(occupancy > said["occupied_thresh"], 100, np.where(occupancy < said["free_thresh"], 0, -1))
+    values = stored.layers["traversability"]
+    expected = np.where(np.isnan(values), -1, np.where(values >= np.float32(0.4), 0, 100))
+    assert np.array_equal(cells, expected)
+    assert set(np.unique(cells)) == {-1, 0, 100}
+    assert said["resolution"] == SIDE
+    assert said["origin"] == [*stored.low, 0.0]
