@@ -1,12 +1,19 @@
 """Rasters, read back by other libraries than those that wrote them, and compared cell by cell."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import rasterio
 import tifffile
 import yaml
+from click.testing import CliRunner
 from exported_map import LAYERS, SIDE, Stored
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from PIL import Image
+
+from roughmap_service.cli.export import export as command
 
 
 def test_a_geotiff_has_the_layers_their_units_and_their_place(stored: Stored, export) -> None:
@@ -79,3 +86,33 @@ def test_a_map_for_nav2_is_as_map_server_reads_it(stored: Stored, export) -> Non
     assert set(np.unique(cells)) == {-1, 0, 100}
     assert said["resolution"] == SIDE
     assert said["origin"] == [*stored.low, 0.0]
+
+
+def test_a_bag_has_the_map_as_a_grid_map(stored: Stored, export) -> None:
+    folder = export("ground")
+    (file,) = folder.glob("*.mcap")
+    with file.open("rb") as opened:
+        ((_, channel, _, grid),) = make_reader(opened, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+    rows, columns = stored.layers["slope"].shape
+    assert channel.topic == "/grid_map"
+    assert (grid.header.frame_id, grid.header.stamp.sec) == ("map", 1_700_000_000)
+    assert list(grid.layers) == list(LAYERS)
+    assert list(grid.basic_layers) == ["mean_height"]
+    assert (grid.info.length_x, grid.info.length_y, grid.info.resolution) == (columns * SIDE, rows * SIDE, SIDE)
+    centre = np.array([grid.info.pose.position.x, grid.info.pose.position.y])
+    for name, data in zip(grid.layers, grid.data, strict=True):
+        # Column-major; grid_map's position of an index: centre + (length - resolution) / 2 - resolution * index.
+        matrix = np.array(data.data, np.float32).reshape((columns, rows), order="F")
+        places = centre + (np.array([columns, rows]) - 1) * SIDE / 2 - SIDE * np.array([3, 5])
+        i, j = np.floor((places - stored.low) / SIDE).astype(int)
+        assert np.array_equal(matrix[3, 5], stored.layers[name][j, i], equal_nan=True)
+        assert np.array_equal(matrix[::-1, ::-1].T, stored.layers[name], equal_nan=True)
+
+
+def test_a_bag_replaces_a_bag_and_no_other_folder(stored: Stored, export, tmp_path: Path) -> None:
+    folder = export("ground")
+    assert export("ground", "--force") == folder
+    (folder / "metadata.yaml").unlink()
+    done = CliRunner().invoke(command, [str(stored.path), "-o", str(folder), "--force"])
+    assert "is not a bag" in str(done.exception)
+    assert list(folder.glob("*.mcap"))

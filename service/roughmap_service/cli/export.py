@@ -85,7 +85,6 @@ def export(
     from roughmap_schemas.layers import LAYERS
     from roughmap_service.cli.connection import client_config
     from roughmap_service.exports.files import formats
-    from roughmap_service.exports.sheet import ExportFault
 
     known = formats(threshold)
     suffix = output.suffix.lower()
@@ -111,10 +110,11 @@ def export(
         with opened as sheet:
             try:
                 known[suffix].write(sheet, output)
-            except OSError as error:
-                raise Failure(f"{output}: {error.strerror or error}") from None
-            except ExportFault:
-                output.unlink(missing_ok=True)
+            except BaseException as error:
+                if output.is_file():  # half of a map must not pass for one
+                    output.unlink()
+                if isinstance(error, OSError):
+                    raise Failure(f"{output}: {error.strerror or error}") from None
                 raise
     rows, columns = sheet.shape
     report: dict[str, Any] = {

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from roughmap_service.exports.arrays import write_arrays
 from roughmap_service.exports.ascii_grid import write_ascii_grid
+from roughmap_service.exports.grid_map import write_grid_map
 from roughmap_service.exports.nav2 import write_nav2
 from roughmap_service.exports.pcd import write_pcd
 from roughmap_service.exports.picture import write_picture
@@ -48,6 +49,7 @@ def formats(threshold: float) -> Mapping[str, Format]:
         ".asc": Format(write_ascii_grid, ("mean_height",)),
         ".png": Format(write_picture, ("mean_height",)),
         ".yaml": Format(lambda sheet, file: write_nav2(sheet, file, threshold), ("traversability",)),
+        "": Format(write_grid_map, RASTER),
         ".ply": Format(write_ply, CLOUD),
         ".pcd": Format(write_pcd, CLOUD),
         ".las": las,
