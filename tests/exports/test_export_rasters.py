@@ -1,6 +1,7 @@
 """Rasters, read back by other libraries than those that wrote them, and compared cell by cell."""
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -36,6 +37,18 @@ def test_a_geotiff_has_the_layers_their_units_and_their_place(stored: Stored, ex
 def test_a_geotiff_is_cloud_optimised(export) -> None:
     with rasterio.open(export("ground.tif")) as opened:
         assert opened.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+
+
+def test_qgis_finds_a_style_for_the_first_layer(stored: Stored, export) -> None:
+    style = ElementTree.parse(export("ground.tif").with_suffix(".qml")).getroot()
+    renderer = style.find("pipe/rasterrenderer")
+    assert renderer is not None
+    heights = stored.layers["mean_height"]
+    assert renderer.get("band") == "1"
+    assert np.float32(renderer.get("classificationMin")) == np.nanmin(heights)
+    values = [float(item.get("value")) for item in renderer.iter("item")]
+    assert values == sorted(values)
+    assert np.float32(values[-1]) == np.nanmax(heights)
 
 
 def test_an_npz_has_the_arrays(stored: Stored, export) -> None:

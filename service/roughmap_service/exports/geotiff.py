@@ -12,6 +12,7 @@ from rasterio.errors import CRSError
 from rasterio.shutil import copy
 from rasterio.windows import Window
 
+from roughmap_service.exports.qgis_style import write_qgis_style
 from roughmap_service.exports.sheet import ExportFault, Sheet
 from roughmap_service.formats.pictures import STYLES
 
@@ -37,6 +38,7 @@ def write_geotiff(sheet: Sheet, file: Path) -> None:
         "sparse_ok": True, "bigtiff": "if_safer", "interleave": "band",
         "transform": Affine(sheet.cell_size, 0.0, sheet.low[0], 0.0, -sheet.cell_size, sheet.high[1]),
     }  # fmt: skip
+    low, high = np.inf, -np.inf
     with rasterio.Env(GDAL_CACHEMAX=256 << 20), tempfile.TemporaryDirectory(dir=file.parent, prefix=".export-") as room:
         sparse = Path(room) / "sparse.tif"
         with rasterio.open(sparse, "w", **profile) as written:
@@ -48,11 +50,15 @@ def write_geotiff(sheet: Sheet, file: Path) -> None:
             for number, name in enumerate(sheet.layers, 1):
                 written.set_band_description(number, name)
             for part in sheet.parts():
+                if (first := part.values[:, :, 0])[np.isfinite(first)].size:
+                    low, high = min(low, float(np.nanmin(first))), max(high, float(np.nanmax(first)))
                 height, width = part.values.shape[:2]
                 window = Window(part.i, rows - part.j - height, width, height)
                 written.write(np.moveaxis(part.values[::-1], 2, 0), window=window)
         copy(sparse, file, driver="COG", compress="deflate", blocksize=BLOCK, sparse_ok=True,
              resampling="average", bigtiff="if_safer")  # fmt: skip
+    if low <= high:
+        write_qgis_style(sheet, file, low, high)
 
 
 def _crs(text: str) -> CRS:
