@@ -1,7 +1,7 @@
 """Rasters, read back by other libraries than those that wrote them, and compared cell by cell."""
 
 from pathlib import Path
-from xml.etree import ElementTree
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_a_geotiff_is_cloud_optimised(export) -> None:
 
 
 def test_qgis_finds_a_style_for_the_first_layer(stored: Stored, export) -> None:
-    style = ElementTree.parse(export("ground.tif").with_suffix(".qml")).getroot()
+    style = ET.parse(export("ground.tif").with_suffix(".qml")).getroot()
     renderer = style.find("pipe/rasterrenderer")
     assert renderer is not None
     heights = stored.layers["mean_height"]
