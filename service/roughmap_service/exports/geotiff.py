@@ -39,7 +39,7 @@ def write_geotiff(sheet: Sheet, file: Path) -> None:
         "transform": Affine(sheet.cell_size, 0.0, sheet.low[0], 0.0, -sheet.cell_size, sheet.high[1]),
     }  # fmt: skip
     low, high = np.inf, -np.inf
-    with rasterio.Env(GDAL_CACHEMAX=256 << 20), tempfile.TemporaryDirectory(dir=file.parent, prefix=".export-") as room:
+    with rasterio.Env(GDAL_CACHEMAX=64 << 20), tempfile.TemporaryDirectory(dir=file.parent, prefix=".export-") as room:
         sparse = Path(room) / "sparse.tif"
         with rasterio.open(sparse, "w", **profile) as written:
             if sheet.crs is not None:
