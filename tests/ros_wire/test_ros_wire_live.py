@@ -62,6 +62,10 @@ def nodes(sessions: tuple[zenoh.Session, zenoh.Session]) -> Iterator[tuple[RosNo
         yield driver, mapper
 
 
+def matching(endpoint: zenoh.Publisher | zenoh.Querier) -> bool:
+    return bool(getattr(endpoint.matching_status, "matching", endpoint.matching_status))
+
+
 def await_match(publisher: RosPublisher) -> None:
     wait_until(lambda: publisher.matched, "a subscriber of the topic")
 
@@ -84,17 +88,18 @@ def test_a_message_comes_with_its_number_time_and_sender(nodes: tuple[RosNode, R
 
 
 def test_peers_without_a_router_hear_each_other_too() -> None:
-    with open_listener() as (first, endpoints), zenoh.open(peer_config(connect=endpoints)) as second:
-        with (
-            RosNode(first, "mapper", keys="rmw_zenoh", domain=7) as mapper,
-            RosNode(second, "driver", keys="rmw_zenoh", domain=7) as driver,
-        ):
-            came: Gathered[Received] = Gathered()
-            mapper.subscriber("/points", CLOUD, HASH, SENSOR_DATA, came)
-            publisher = driver.publisher("/points", CLOUD, HASH, SENSOR_DATA)
-            await_match(publisher)
-            publisher.put(CDR)
-            assert came.wait(bool, "the message")[0].payload == CDR
+    with (
+        open_listener() as (first, endpoints),
+        zenoh.open(peer_config(connect=endpoints)) as second,
+        RosNode(first, "mapper", keys="rmw_zenoh", domain=7) as mapper,
+        RosNode(second, "driver", keys="rmw_zenoh", domain=7) as driver,
+    ):
+        came: Gathered[Received] = Gathered()
+        mapper.subscriber("/points", CLOUD, HASH, SENSOR_DATA, came)
+        publisher = driver.publisher("/points", CLOUD, HASH, SENSOR_DATA)
+        await_match(publisher)
+        publisher.put(CDR)
+        assert came.wait(bool, "the message")[0].payload == CDR
 
 
 @pytest.mark.parametrize("keys", ["rmw_zenoh", "ros2dds"])
@@ -124,11 +129,17 @@ def test_a_subscriber_gets_the_last_grid_of_a_publisher_that_comes_later(nodes: 
     assert came.wait(bool, "the grid")[0].payload == CDR + b"grid"
 
 
-def test_a_latched_publisher_needs_timestamps() -> None:
-    with zenoh.open(peer_config(timestamping__enabled=False)) as session:
-        with RosNode(session, "mapper", keys="rmw_zenoh") as mapper:
-            with pytest.raises(WireError, match=r"^/grid: .* set timestamping.enabled to true"):
-                mapper.publisher("/grid", GRID, GRID_HASH, LATCHED)
+def test_a_best_effort_latched_publisher_needs_timestamps() -> None:
+    config = peer_config(timestamping__enabled=False)
+    with (
+        zenoh.open(config) as session,
+        RosNode(session, "mapper", keys="rmw_zenoh") as mapper,
+        pytest.raises(WireError, match=r"^/grid: .* set timestamping.enabled to true"),
+    ):
+        mapper.publisher("/grid", GRID, GRID_HASH, LATCHED._replace(reliable=False))
+    enable_timestamps(config)
+    with zenoh.open(config) as session, RosNode(session, "mapper", keys="rmw_zenoh") as mapper:
+        mapper.publisher("/grid", GRID, GRID_HASH, LATCHED._replace(reliable=False)).put(CDR)
 
 
 def call(session: zenoh.Session, key: str, payload: bytes | None, attachment: bytes | None) -> zenoh.Reply:
@@ -142,7 +153,7 @@ def call(session: zenoh.Session, key: str, payload: bytes | None, attachment: by
 
 def await_service(session: zenoh.Session, key: str) -> None:
     querier = session.declare_querier(key, target=zenoh.QueryTarget.ALL_COMPLETE)
-    wait_until(lambda: querier.matching_status, "the service")
+    wait_until(lambda: matching(querier), "the service")
     querier.undeclare()
 
 
@@ -318,9 +329,9 @@ def test_nothing_is_left_of_a_node_that_ended(sessions: tuple[zenoh.Session, zen
         publisher.put(CDR)
         await_service(second, GET_MAP_KEY)
         points = second.declare_publisher("0/points/sensor_msgs::msg::dds_::PointCloud2_/RIHS01_9198")
-        wait_until(lambda: points.matching_status, "the subscriber")
+        wait_until(lambda: matching(points), "the subscriber")
     wait_until(lambda: not tokens(), "the end of all tokens")
-    wait_until(lambda: not points.matching_status, "the end of the subscriber")
+    wait_until(lambda: not matching(points), "the end of the subscriber")
     assert list(second.get(GET_MAP_KEY, payload=CDR, timeout=WAIT_S)) == []
     assert list(second.get("0/grid/**", timeout=WAIT_S)) == []
 
@@ -333,14 +344,15 @@ def test_a_bridge_gets_plain_cdr_on_plain_keys(sessions: tuple[zenoh.Session, ze
         mapper.subscriber("/robot/points", CLOUD, HASH, SENSOR_DATA, came)
         mapper.service("/roughmap/get_map", GET_MAP, GET_MAP_HASH, lambda request: request + b"map")
         publisher = mapper.publisher("/roughmap/grid", GRID, GRID_HASH, Qos())
-        bridge.declare_subscriber(
+        grid = bridge.declare_subscriber(
             "roughmap/grid", lambda s: grids((str(s.key_expr), s.payload.to_bytes(), s.attachment))
         )
         await_match(publisher)
         publisher.put(CDR + b"grid")
         assert grids.wait(bool, "the grid") == [("roughmap/grid", CDR + b"grid", None)]
+        grid.undeclare()
         points = bridge.declare_publisher("robot/points")
-        wait_until(lambda: points.matching_status, "the subscriber")
+        wait_until(lambda: matching(points), "the subscriber")
         points.put(CDR + b"points")
         assert came.wait(bool, "the points")[0][::2] == (CDR + b"points", None, None)
         await_service(bridge, "roughmap/get_map")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from roughmap_ros.wire import SENSOR_DATA, Entity, Kind, Qos, router_problem
-from roughmap_ros.wire.matching import matching_problems, mismatch
+from roughmap_ros.wire.matching import hash_text, matching_problems, mismatch
 from roughmap_ros.wire.qos import qos_text
 from roughmap_ros.wire.refusals import MAX_REASONS, Refusals
 
@@ -30,12 +30,18 @@ THEIRS = Entity(Kind.PUBLISHER, 0, "bb", 0, 1, "/robot", "lidar", "/points", CLO
         ),
         (
             {"type_hash": "RIHS01_22"},
-            f"/points: a publisher (/robot/lidar): hash RIHS01_22 differs: another version of {CLOUD}; expected RIHS01_11",
+            f"/points: a publisher (/robot/lidar): {hash_text(CLOUD, 'RIHS01_22', 'RIHS01_11')}",
         ),
     ],
 )
 def test_a_publisher_that_does_not_fit_is_told_in_words(change: dict[str, object], words: str | None) -> None:
     assert mismatch(OURS, replace(THEIRS, **change)) == words  # type: ignore[arg-type]
+
+
+def test_another_hash_is_another_version_of_the_message() -> None:
+    assert hash_text("a/msg/B", "RIHS01_22", "RIHS01_11") == (
+        "hash RIHS01_22 differs: another version of a/msg/B; expected RIHS01_11"
+    )
 
 
 def test_humble_is_refused_by_name() -> None:
@@ -107,8 +113,15 @@ def test_refusals_are_counted_by_reason_and_bounded() -> None:
     ],
 )
 def test_a_peer_in_the_place_of_the_router_is_told(mode: str, listen: list[str], keys: str, told: bool) -> None:
-    problem = router_problem(mode, listen, keys)  # type: ignore[arg-type]
+    problem = router_problem(mode, listen, keys, scouting=True)  # type: ignore[arg-type]
     assert (problem is not None) is told
     if problem is not None:
         assert 'zenoh.mode = "router"' in problem
         assert "rmw_zenohd" in problem
+
+
+def test_a_peer_that_hears_no_gossip_is_told() -> None:
+    problem = router_problem("peer", ["tcp/127.0.0.1:17447"], "rmw_zenoh")
+    assert problem is not None
+    assert problem.startswith('zenoh.mode is "peer" without scouting, which hears no ROS nodes')
+    assert router_problem("client", [], "rmw_zenoh") is None

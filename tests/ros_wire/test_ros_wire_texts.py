@@ -59,7 +59,8 @@ def test_a_data_key_has_domain_topic_type_and_hash() -> None:
 @pytest.mark.parametrize(
     "text",
     ["", "0", "points", "x/points/a::msg::dds_::B_/h", "0/a::msg::dds_::B_/h", "0/points/Image/h",
-     "0/p p/a::msg::dds_::B_/h", "0/points/a::msg::dds_::B_/", "²/points/a::msg::dds_::B_/h", "0//points/a::msg::dds_::B_/h"],
+     "0/p p/a::msg::dds_::B_/h", "0/points/a::msg::dds_::B_/", "²/points/a::msg::dds_::B_/h",
+     "0//points/a::msg::dds_::B_/h"],
 )  # fmt: skip
 def test_what_is_no_data_key_is_none(text: str) -> None:
     assert parse_data_key(text) is None

@@ -21,7 +21,7 @@ def zenoh_errors(topic: str) -> Iterator[None]:
     except zenoh.ZError as error:
         if "timestamping" in str(error):
             raise WireError(
-                f"{topic}: a transient_local publisher needs timestamps in the Zenoh session; found them off; set "
-                "timestamping.enabled to true in its configuration"
+                f"{topic}: a publisher with best_effort transient_local needs timestamps in the Zenoh session; found "
+                "them off; set timestamping.enabled to true in its configuration"
             ) from None
         raise WireError(f"{topic}: Zenoh: {short_message(error)}") from None

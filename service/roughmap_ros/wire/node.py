@@ -81,7 +81,7 @@ class RosNode:
         self._services.close()
 
     def publisher(self, topic: str, ros_type: str, type_hash: str, qos: Qos) -> RosPublisher:
-        """Return a publisher of a topic. With transient_local the session needs timestamps (`enable_timestamps`)."""
+        """Return a publisher of a topic. For transient_local, open the session with `enable_timestamps`."""
         own = self._endpoint(Kind.PUBLISHER, topic, ros_type, type_hash, qos)
         publisher = RosPublisher(self._session, self._key(own), topic, qos, own.gid if self._rmw else None)
         self._undeclare.append(publisher.undeclare)

@@ -19,7 +19,7 @@ ALL: Final = 1000
 
 
 def enable_timestamps(config: zenoh.Config) -> None:
-    """Switch on timestamps in a Zenoh configuration. Publishers with transient_local need them in their session."""
+    """Switch on timestamps in a Zenoh configuration: transient_local publishers that aren't reliable need them."""
     config.insert_json5("timestamping/enabled", "true")
 
 
@@ -59,7 +59,8 @@ class RosPublisher:
     @property
     def matched(self) -> bool:
         """Whether anyone subscribes now. Those who come later get the last messages too if it is transient_local."""
-        return bool(self._publisher.matching_status)
+        status = self._publisher.matching_status
+        return bool(getattr(status, "matching", status))  # an object in newer versions of Zenoh
 
     def undeclare(self) -> None:
         """End it, and forget the messages kept for late subscribers."""

@@ -84,24 +84,26 @@ class Services:
 
     def _run(self) -> None:
         while (request := self._waiting.get()) is not None:
+            service, query = request.service, request.query
             try:
-                self._answer(request)
+                self._reply(request, service.handler(request.payload))
             except ReportedError as error:
-                self._refuse(request.service, request.query, str(error)[:500])
+                self._refuse(service, query, str(error)[:500])
             except Exception:  # a thread that ended would leave later requests without answers
-                self._refuse(request.service, request.query, "an internal error; see the log lines")
-                logger.exception("a request of %s failed", request.service.name)
-            del request  # a query ends when nobody holds it
+                logger.exception("a request of %s failed", service.name)
+                self._refuse(service, query, "an internal error; see the log lines")
 
-    def _answer(self, request: Request) -> None:
-        payload, came = request.service.handler(request.payload), request.beside
+    def _reply(self, request: Request, payload: bytes) -> None:
+        came = request.beside
         beside = None if came is None else pack_attachment(came._replace(source_ns=time.time_ns()))
-        with zenoh_errors(request.service.name):
+        with zenoh_errors(request.service.name), request.query:
             request.query.reply(request.service.key, payload, attachment=beside)
 
     def _refuse(self, service: Service, query: zenoh.Query, reason: str) -> None:
+        """Send an error and end the query: it would else be open as long as anyone holds it."""
         self._refusals.count(service.name, reason)
         try:
-            query.reply_err(reason)
+            with query:
+                query.reply_err(reason)
         except zenoh.ZError as error:  # the session is closed, or the asker gone
             logger.info("%s: a refusal could not be sent: %s", service.name, error)
