@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import zenoh
 
     from roughmap_client import RoughMapClient
+    from roughmap_schemas import Config
     from roughmap_schemas.config_load import LoadedConfig
     from roughmap_schemas.messages import MapStatus
 
@@ -38,10 +39,11 @@ STATUS_S = 10.0
 def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, object], ...], as_json: bool) -> int:
     """roughmap doctor
 
-    Check that mapping can work with this configuration: directories and disk space, memory, clock, ports,
-    certificates, exposure to the network, Zenoh peers, and what the robots publish: frames, rates and losses, stamps
-    and clocks, per-point times, poses, their leaps and covariances, transforms, and what clouds are made of. Print each
-    finding, and below it the remedy if something is wrong, with settings to paste into the configuration file.
+    Check that mapping can work with this configuration: directories, disk space and how long it lasts, memory, clock,
+    ports, certificates, exposure to the network, Zenoh peers, and what the robots publish: frames, rates and losses,
+    stamps and clocks, per-point times, poses, their leaps and covariances, transforms, and what clouds are made of.
+    Print each finding, and below it the remedy if something is wrong, with settings to paste into the configuration
+    file.
 
     If the service is running, doctor connects to it. If not, doctor opens the Zenoh session that it would open.
     Exit code 1 if anything is wrong.
@@ -62,8 +64,9 @@ def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, 
         findings += [doctor_machine.http_port(config, running=beside.running), *beside.findings]
         if beside.session is not None and seconds > 0:
             click.echo(f"listening for {seconds:g} s ...", err=True)
-            findings += _traffic(beside.session, loaded, seconds)
-            findings += _meanwhile(beside)
+            heard, growth = _traffic(beside.session, loaded, seconds)
+            said, measured = _meanwhile(beside, config)
+            findings += [*heard, *said, *(measured or growth)]
     wrong = any(finding.verdict == "wrong" for finding in findings)
     if as_json:
         click.echo(json.dumps({"ok": not wrong, "findings": [finding.as_json() for finding in findings]}))
@@ -153,21 +156,29 @@ def _peers(loaded: "LoadedConfig") -> list[Finding]:
     return findings
 
 
-def _meanwhile(beside: Beside) -> list[Finding]:
-    """Ask the running service once more: what it made of the messages, and what it calls a problem."""
+def _meanwhile(beside: Beside, config: "Config") -> tuple[list[Finding], list[Finding]]:
+    """Ask the running service once more: what it made of the messages, and what it calls a problem.
+
+    Return the findings, and those on its log's growth.
+    """
     from roughmap_client.errors import RoughMapError
+    from roughmap_service.cli.doctor.machine import measured_growth
     from roughmap_service.cli.doctor.service import judge_service
 
     if beside.client is None or beside.status is None:
-        return []
+        return [], []
     try:
-        return judge_service(beside.status, beside.client.status())
+        after = beside.client.status()
     except RoughMapError as error:
-        return [Finding("service", "wrong", f"the service no longer answers: {error}", "look at its log lines")]
+        return [Finding("service", "wrong", f"the service no longer answers: {error}", "look at its log lines")], []
+    growth = after.log.bytes_per_hour
+    return judge_service(beside.status, after), [] if growth is None else measured_growth(config, growth)
 
 
-def _traffic(session: "zenoh.Session", loaded: "LoadedConfig", seconds: float) -> list[Finding]:
+def _traffic(session: "zenoh.Session", loaded: "LoadedConfig", seconds: float) -> tuple[list[Finding], list[Finding]]:
+    """Return the findings on what was heard, and those on the log that it makes."""
     from roughmap_schemas.keys import Keys
+    from roughmap_service.cli.doctor.machine import log_growth
     from roughmap_service.cli.doctor.robots import judge
     from roughmap_service.cli.doctor.traffic import Traffic
     from roughmap_service.run.settings import Settings
@@ -181,4 +192,4 @@ def _traffic(session: "zenoh.Session", loaded: "LoadedConfig", seconds: float) -
     if abs(stepped) > 0.1:  # slewing stays far below a millisecond a second
         text = f"this machine's clock jumped by {stepped:+.2f} s while doctor listened"
         findings.append(Finding("clock", "wrong", text, "let a single program set it, by slewing"))
-    return findings
+    return findings, log_growth(config, traffic.heard_bytes, seconds)
