@@ -38,7 +38,7 @@ def settings(tmp_path: Path, **log: Any) -> Config:
     ],
 )  # fmt: skip
 def test_a_services_own_figure(tmp_path: Path, log: dict[str, Any], per_hour: int, verdict: str, text: str) -> None:
-    (found,) = machine.measured_growth(settings(tmp_path, **log), per_hour)
+    (found,) = machine.log_growth(settings(tmp_path, **log), 0, per_hour)
     assert (found.area, found.verdict, found.text) == ("log", verdict, text)
     assert bool(found.remedy) == (verdict == "note")
 
@@ -52,13 +52,21 @@ def test_what_is_heard_is_what_will_be_logged(tmp_path: Path) -> None:
     for one in heard:
         traffic.take(one)
     assert sent <= traffic.heard_bytes <= sent + 50 * len(heard)
-    (found,) = machine.log_growth(settings(tmp_path), 8e6, 8.0)
+    assert traffic.bytes_per_hour(8.0) == pytest.approx(traffic.heard_bytes * 450, abs=1)
+    (found,) = machine.log_growth(settings(tmp_path), 3_600_000_000, None)
     text = "of about 3.6 GB an hour, the disk is full in 28 hours"
     assert (found.verdict, found.text) == ("ok", f"what was heard makes a log {text}")
-    (found,) = machine.log_growth(settings(tmp_path, compression="zstd"), 8e6, 8.0)
+    (found,) = machine.log_growth(settings(tmp_path, compression="zstd"), 3_600_000_000, None)
     assert found.text == f"what was heard makes a log, before compression (zstd), {text}"
 
 
-def test_nothing_heard_says_nothing(tmp_path: Path) -> None:
-    assert machine.log_growth(settings(tmp_path), 0, 8.0) == []
-    assert machine.log_growth(settings(tmp_path), 0, 0.0) == []
+@pytest.mark.parametrize(("heard", "measured"), [(2 * GB, 3 * GB), (3 * GB, 2 * GB)])
+def test_beside_a_service_the_larger_figure_counts(tmp_path: Path, heard: int, measured: int) -> None:
+    (found,) = machine.log_growth(settings(tmp_path), heard, measured)
+    assert "3.0 GB an hour" in found.text
+    assert found.text.startswith("what was heard" if heard > measured else "the service's log")
+
+
+@pytest.mark.parametrize("measured", [None, 0])
+def test_nothing_heard_says_nothing(tmp_path: Path, measured: int | None) -> None:
+    assert machine.log_growth(settings(tmp_path), 0, measured) == []

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     import zenoh
 
     from roughmap_client import RoughMapClient
-    from roughmap_schemas import Config
     from roughmap_schemas.config_load import LoadedConfig
     from roughmap_schemas.messages import MapStatus
 
@@ -64,9 +63,7 @@ def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, 
         findings += [doctor_machine.http_port(config, running=beside.running), *beside.findings]
         if beside.session is not None and seconds > 0:
             click.echo(f"listening for {seconds:g} s ...", err=True)
-            heard, growth = _traffic(beside.session, loaded, seconds)
-            said, measured = _meanwhile(beside, config)
-            findings += [*heard, *said, *(measured or growth)]
+            findings += _traffic(beside, beside.session, loaded, seconds)
     wrong = any(finding.verdict == "wrong" for finding in findings)
     if as_json:
         click.echo(json.dumps({"ok": not wrong, "findings": [finding.as_json() for finding in findings]}))
@@ -156,30 +153,26 @@ def _peers(loaded: "LoadedConfig") -> list[Finding]:
     return findings
 
 
-def _meanwhile(beside: Beside, config: "Config") -> tuple[list[Finding], list[Finding]]:
-    """Ask the running service once more: what it made of the messages, and what it calls a problem.
-
-    Return the findings, and those on its log's growth.
-    """
+def _meanwhile(beside: Beside) -> "tuple[list[Finding], MapStatus | None]":
+    """Ask the running service once more: what it made of the messages, and what it calls a problem."""
     from roughmap_client.errors import RoughMapError
-    from roughmap_service.cli.doctor.machine import measured_growth
     from roughmap_service.cli.doctor.service import judge_service
 
     if beside.client is None or beside.status is None:
-        return [], []
+        return [], None
     try:
         after = beside.client.status()
     except RoughMapError as error:
-        return [Finding("service", "wrong", f"the service no longer answers: {error}", "look at its log lines")], []
-    growth = after.log.bytes_per_hour
-    return judge_service(beside.status, after), [] if growth is None else measured_growth(config, growth)
+        return [Finding("service", "wrong", f"the service no longer answers: {error}", "look at its log lines")], None
+    return judge_service(beside.status, after), after
 
 
-def _traffic(session: "zenoh.Session", loaded: "LoadedConfig", seconds: float) -> tuple[list[Finding], list[Finding]]:
-    """Return the findings on what was heard, and those on the log that it makes."""
+def _traffic(beside: Beside, session: "zenoh.Session", loaded: "LoadedConfig", seconds: float) -> list[Finding]:
+    """Listen, and judge what was heard, what the service made of it, and the log that it makes."""
     from roughmap_schemas.keys import Keys
     from roughmap_service.cli.doctor.machine import log_growth
     from roughmap_service.cli.doctor.robots import judge
+    from roughmap_service.cli.doctor.service import knows_mountings
     from roughmap_service.cli.doctor.traffic import Traffic
     from roughmap_service.run.settings import Settings
 
@@ -187,9 +180,11 @@ def _traffic(session: "zenoh.Session", loaded: "LoadedConfig", seconds: float) -
     traffic = Traffic(Settings(config))
     wall, monotonic = time.time(), time.monotonic()
     traffic.listen(session, Keys(config.map.name, config.keys), seconds)
-    findings = judge(traffic, config, seconds)
     stepped = (time.time() - wall) - (time.monotonic() - monotonic)
+    said, after = _meanwhile(beside)
+    findings = judge(traffic, config, seconds, mounted=knows_mountings(beside.status, after))
     if abs(stepped) > 0.1:  # slewing stays far below a millisecond a second
         text = f"this machine's clock jumped by {stepped:+.2f} s while doctor listened"
         findings.append(Finding("clock", "wrong", text, "let a single program set it, by slewing"))
-    return findings, log_growth(config, traffic.heard_bytes, seconds)
+    measured = None if after is None else after.log.bytes_per_hour
+    return [*findings, *said, *log_growth(config, traffic.bytes_per_hour(seconds), measured)]

@@ -13,7 +13,7 @@ from pathlib import Path
 from roughmap_schemas.config import Config
 from roughmap_service.cli.doctor.findings import Finding
 from roughmap_service.cli.health import served_map
-from roughmap_service.host.log_growth import HOUR_S, growth_text, hours_to_full, size_text
+from roughmap_service.host.log_growth import growth_text, hours_to_full, size_text
 
 EARLIEST, LATEST = (datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (2025, 2100))
 """A clock that shows a time outside of these is not set."""
@@ -68,22 +68,17 @@ def _directory(name: str, directory: Path, wanted: int) -> Finding:
     return Finding("disk", "ok", text)
 
 
-def log_growth(config: Config, heard_bytes: float, seconds: float) -> list[Finding]:
-    """Tell how fast the log will grow if robots go on as they did for ``seconds``, in which so many bytes came."""
-    per_hour = round(heard_bytes * HOUR_S / seconds) if seconds > 0.0 else 0
+def log_growth(config: Config, heard: int, measured: int | None) -> list[Finding]:
+    """Judge how long the disk of the log lasts.
+
+    ``heard`` are the bytes an hour that robots send, ``measured`` those that a running service's log grew by lately:
+    less if they sent nothing for a while, more if it logs other things too. The larger one counts.
+    """
+    per_hour = max(heard, measured or 0)
+    before = "" if config.log.compression == "none" else f", before compression ({config.log.compression}),"
+    text = f"what was heard makes a log{before} of about" if per_hour == heard else "the service's log grows by"
     if not per_hour:
         return []
-    before = "" if config.log.compression == "none" else f", before compression ({config.log.compression}),"
-    return judge_growth(config, per_hour, f"what was heard makes a log{before} of about {{}}")
-
-
-def measured_growth(config: Config, per_hour: int) -> list[Finding]:
-    """Tell how fast the running service's log grows, as it says itself."""
-    return judge_growth(config, per_hour, "the service's log grows by {}")
-
-
-def judge_growth(config: Config, per_hour: int, text: str) -> list[Finding]:
-    """Judge how long the disk of the log lasts; ``{}`` in the text stands for the growth."""
     directory = Path(config.log.directory)
     try:
         used = sum(path.stat().st_size for path in directory.glob("*.mcap*"))
@@ -92,7 +87,7 @@ def judge_growth(config: Config, per_hour: int, text: str) -> list[Finding]:
         return []  # told by `directories`
     keep = config.log.keep
     hours = hours_to_full(per_hour, free, keep)
-    text = text.format(growth_text(per_hour, hours, keep))
+    text = f"{text} {growth_text(per_hour, hours, keep)}"
     if keep is not None and keep > used + free:
         text = f"{text}, but the disk has room for {size_text(used + free)} only"
         return [Finding("log", "note", text, "lower log.keep, or give the log another disk (log.directory)")]

@@ -21,6 +21,7 @@ from roughmap_service.cli.doctor.heard import (
 )
 from roughmap_service.cli.doctor.survey import survey
 from roughmap_service.cli.doctor.times import TimeSample
+from roughmap_service.host.log_growth import HOUR_S
 from roughmap_service.inputs.subscriptions import ENCODINGS
 from roughmap_service.run.decoding import decode
 from roughmap_service.run.point_times import NAMES
@@ -77,6 +78,10 @@ class Traffic:
         """Bytes of the messages that a service would log."""
         self.missed = 0
         """Messages that arrived faster than they could be read."""
+
+    def bytes_per_hour(self, seconds: float) -> int:
+        """Return by how many bytes an hour a log would grow if it goes on as in these ``seconds``."""
+        return round(self.heard_bytes * HOUR_S / seconds)
 
     def listen(self, session: zenoh.Session, keys: Keys, seconds: float) -> None:
         """Collect what is published within ``seconds``."""
