@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap_schemas.geometry import quaternion_of
+from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.poses import check_poses
 from roughmap_service.formats.recorded import PART_ROWS, CloudFileFault, Floats, PlacedPoints, RecordedScan
 from roughmap_service.formats.stamps import outside, stamps_fault
@@ -29,7 +30,7 @@ MAX_UNPACKED = 16 << 30
 """Most bytes of an archive's arrays: half a billion points with covariances. All of them are in memory at once."""
 
 
-def read_npz(file: Path) -> Iterator[RecordedScan | PlacedPoints]:
+def read_npz(file: Path, _options: ReadOptions) -> Iterator[RecordedScan | PlacedPoints]:
     """Return the scans of a file, or its points in parts. Raises CloudFileFault and OSError."""
     arrays = _load(file)
     return _scans(file, arrays) if _is_scans(arrays) else _placed(file, arrays)

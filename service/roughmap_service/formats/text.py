@@ -14,6 +14,7 @@ from typing import TextIO
 
 import numpy as np
 
+from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.recorded import PART_ROWS, CloudFileFault, Floats, PlacedPoints
 from roughmap_service.formats.text_form import Form, find_form, split
 from roughmap_service.formats.text_words import COUNT, Line, LineFault, coordinate, shown
@@ -30,7 +31,7 @@ FORM_LINES = 1000
 REMARK = re.compile(r"(?:^|(?<=[\s,;]))(?:#(?!N/A)|//)")
 
 
-def read_text(file: Path) -> Iterator[PlacedPoints]:
+def read_text(file: Path, _options: ReadOptions) -> Iterator[PlacedPoints]:
     """Return the points of a file in parts. Raises CloudFileFault and OSError."""
     with file.open("rb") as raw:
         encoding = "utf-16" if raw.read(2) in {b"\xff\xfe", b"\xfe\xff"} else "utf-8"
