@@ -42,4 +42,4 @@ def reader_of(path: Path) -> Reader:
             allowed = ", ".join(sorted(READERS))
             raise CloudFileFault(f"{path}: unknown file format {suffix or '(no suffix)'!r} (allowed: {allowed})")
     module, function = found.split(".")
-    return cast(Reader, getattr(import_module(f"roughmap_service.formats.{module}"), function))
+    return cast("Reader", getattr(import_module(f"roughmap_service.formats.{module}"), function))
