@@ -17,14 +17,17 @@ class ReadOptions:
     """Options of `roughmap build` and `roughmap simulate --from` for all readers; each reads those that it knows.
 
     `scan_seconds`: points with times of their own become scans of so many seconds; None: one cloud. `poses`: a file of
-    poses beside clouds that have none. `topics`: which topics of a bag are a robot's; None: found by their types.
-    `map_frame` and `sensors`, by frame, are those of the configuration; with `any_sensor` clouds in other frames are
-    read too. `reached` is called with the share of the recording that has been read, 0 to 1.
+    poses beside clouds that have none. `topics`: which topics of a bag are a robot's; None: found by their types among
+    `clouds` and `odometry`, if they are given. `map_frame` and `sensors`, by frame, are those of the configuration; with
+    `any_sensor` clouds in other frames are read too. `reached` is called with the share of the recording that has been
+    read, 0 to 1.
     """
 
     scan_seconds: float | None = None
     poses: Path | None = None
     topics: Ros2RobotConfig | None = None
+    clouds: tuple[str, ...] = ()
+    odometry: str | None = None
     map_frame: str = "map"
     sensors: Mapping[str, SensorConfig] = field(default_factory=dict)
     any_sensor: bool = True
