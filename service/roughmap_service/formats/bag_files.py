@@ -1,16 +1,19 @@
 """Files of rosbag2 (folders, .mcap, .db3; zstd too) and of ROS 1 (.bag): their topics, and their messages as CDR."""
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
 
+from roughmap_ros.messages import TYPES as STORE
+from roughmap_ros.messages import BadRosMessage
+from roughmap_ros.messages.cdr import CdrReader
 from roughmap_service.formats.damage import damage
 from roughmap_service.formats.recorded import CloudFileFault
+from roughmap_service.formats.robot_messages import Raw
 from roughmap_service.formats.topics import Role, Topic
 
 if TYPE_CHECKING:
@@ -29,14 +32,6 @@ TYPES: dict[str, tuple[str, Role]] = {
 """By type in the bag: the ROS 2 type of the same layout, and what such a topic may be."""
 
 
-class Raw(NamedTuple):
-    """A message of a bag: its topic, its CDR, and when it was recorded, in ns."""
-
-    topic: str
-    cdr: bytes
-    log_ns: int
-
-
 class Bag:
     """An open bag. `topics` are those of the types that roughmap reads; `start_ns` and `end_ns` span all messages."""
 
@@ -52,7 +47,7 @@ class Bag:
             role = TYPES[connection.msgtype][1]
             role = "tf_static" if role == "tf" and name.endswith("tf_static") else role
             self._readers.setdefault(name, []).append(connection)
-            before = counts[name].count if name in counts else 0
+            before = counts[name].messages if name in counts else 0
             counts[name] = Topic(name, role, before + connection.msgcount)
         self.topics = sorted(counts.values())
         self.start_ns, self.end_ns = (reader.start_time, reader.end_time) if reader.message_count else (0, 0)
@@ -69,29 +64,27 @@ class Bag:
                 one, log_ns, data = next(found)
             except StopIteration:
                 return
-            except Exception as error:  # noqa: BLE001 - rosbags and what unpacks raise almost anything for bad bytes
+            except Exception as error:  # rosbags and what unpacks raise almost anything for bad bytes
                 raise fault(self.path, error, f" after {(last_ns - self.start_ns) / 1e9:.1f} s") from error
             last_ns = log_ns
             yield Raw(_absolute(one.topic), self._cdr(one.msgtype, data), log_ns)
 
-    def first(self, topic: str) -> Raw | None:
-        """Return the first message of a topic."""
-        return next(self.messages((topic,)), None)
+    def frame_of(self, topic: Topic) -> str:
+        """Return the frame of the first message of a topic, which begins with a header; "" if it is none."""
+        raw = next(self.messages((topic.name,)), None)
+        try:
+            return "" if raw is None else CdrReader(raw.data, topic.name).header().frame_id
+        except BadRosMessage:
+            return ""
 
     def _cdr(self, msgtype: str, data: bytes) -> bytes:
         """Return a message as CDR; the bytes as they are if they are not of its type: whoever reads them says so."""
         if isinstance(self._reader, Reader2):
             return data
         try:
-            return bytes(_from_ros1(TYPES[msgtype][0])(data))
+            return bytes(STORE.ros1_to_cdr(data, TYPES[msgtype][0]))
         except Exception:  # noqa: BLE001 - rosbags raises almost anything for bad bytes
             return b""
-
-
-def _from_ros1(ros_type: str) -> Callable[[bytes], memoryview]:
-    from roughmap_ros.messages.types import TYPES as STORE
-
-    return partial(STORE.ros1_to_cdr, typename=ros_type)
 
 
 def _absolute(topic: str) -> str:
@@ -107,7 +100,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
         reader.open()
     except PermissionError:
         raise
-    except Exception as error:  # noqa: BLE001 - rosbags and what unpacks raise almost anything for bad bytes
+    except Exception as error:  # rosbags and what unpacks raise almost anything for bad bytes
         raise fault(path, error) from error
     try:
         yield Bag(path, reader)

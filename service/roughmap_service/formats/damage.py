@@ -4,6 +4,8 @@ import struct
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+from rosbags.rosbag2.storage_mcap import decompress
+
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 SQLITE_MAGIC = b"SQLite format 3\0"
@@ -13,7 +15,6 @@ CHUNK, FOOTER = 0x06, 0x02
 
 ROS1_MAX_HEADER = 1 << 20
 """Bytes; a header has a few short fields, and the text of a message definition in a connection's."""
-
 
 
 class Damage(NamedTuple):
@@ -40,7 +41,10 @@ def _of_file(file: Path) -> Damage | None:
         elif suffix == ".bag":
             offset, remedy = _ros1(stream, size), f"`rosbag reindex {file}` keeps what is whole"
         elif suffix == ".db3":
-            offset, remedy = _sqlite(stream, size), f"`sqlite3 {file} .recover | sqlite3 mended.db3` keeps what is whole"
+            offset, remedy = (
+                _sqlite(stream, size),
+                f"`sqlite3 {file} .recover | sqlite3 mended.db3` keeps what is whole",
+            )
         else:
             return None
     return None if offset is None else Damage(file, offset, remedy)
@@ -83,8 +87,6 @@ def _whole_chunk(stream: BinaryIO, length: int) -> bool:
 
 
 def _unpacks(compression: bytes, packed: bytes, size: int, checksum: int) -> bool:
-    from rosbags.rosbag2.storage_mcap import decompress
-
     if compression not in {b"", b"lz4", b"zstd"}:
         return True
     try:

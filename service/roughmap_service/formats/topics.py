@@ -1,4 +1,4 @@
-"""Which topics of a recording are a robot's clouds and poses, found by their types; what is unclear is said in a line."""
+"""Which topics of a recording are a robot's clouds and poses, by their types. What is unclear is said in one line."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -22,15 +22,15 @@ MAX_LISTED = 12
 
 
 class Topic(NamedTuple):
-    """A topic of a recording that may be a robot's: what it is by its type, and its number of messages."""
+    """A topic of a recording that may be a robot's: what it is by its type, and how many messages it has."""
 
     name: str
     role: Role
-    count: int
+    messages: int
 
 
 class Links(NamedTuple):
-    """Links of a tf tree, child to parent; `moving` are the children of those that were not sent as static."""
+    """Links of a tf tree, child to parent; `moving` are the children of those that changed."""
 
     parents: Mapping[str, str]
     moving: frozenset[str]
@@ -66,7 +66,7 @@ def choose(path: Path, topics: Sequence[Topic], frame_of: Callable[[Topic], str]
 def _clouds(
     path: Path, topics: Sequence[Topic], frame_of: Callable[[Topic], str], options: ReadOptions
 ) -> dict[Topic, str]:
-    there = [topic for topic in topics if topic.role in CLOUDS and topic.count]
+    there = [topic for topic in topics if topic.role in CLOUDS and topic.messages]
     if options.clouds:
         return {topic: frame_of(topic) for topic in _named(path, there, options.clouds, "--clouds", "clouds")}
     if not there:
@@ -90,14 +90,14 @@ def _clouds(
 
 
 def _poses(path: Path, topics: Sequence[Topic], options: ReadOptions) -> Topic | None:
-    there = [topic for topic in topics if topic.role in POSES and topic.count]
+    there = [topic for topic in topics if topic.role in POSES and topic.messages]
     if options.odometry is not None:
         return _named(path, there, (options.odometry,), "--odometry", "poses")[0]
     for role in POSES:
         found = [topic for topic in there if topic.role == role and not COMMANDS.search(topic.name)]
         if len(found) > 1:
             raise CloudFileFault(f"{path}: several topics of poses: {_listed(found)}; choose by --odometry TOPIC")
-        if found and (role == "odometry" or not any(topic.role == "tf" and topic.count for topic in topics)):
+        if found and (role == "odometry" or not any(topic.role == "tf" and topic.messages for topic in topics)):
             return found[0]
     return None
 
@@ -111,26 +111,25 @@ def _named(path: Path, there: Sequence[Topic], names: Sequence[str], option: str
 
 
 def _listed(topics: Sequence[Topic] | Mapping[Topic, str]) -> str:
-    listed = [f"{topic.name} ({topic.count:,} messages)" for topic in topics]
+    listed = [f"{topic.name} ({topic.messages:,} messages)" for topic in topics]
     return ", ".join(listed[:MAX_LISTED] + ["..."] * (len(listed) > MAX_LISTED))
 
 
 def base_frame(links: Links, frame: str) -> str | None:
-    """Return the frame of the robot that carries the sensor with that frame: its poses come from tf above it.
+    """Return the frame of the robot that carries the sensor with that frame; None if tf does not say where it goes.
 
-    It is base_link or base_footprint if the sensor hangs on one that moves, else the first frame that moves; None if
-    nothing does.
+    It is base_link or base_footprint if the sensor hangs on one that has a parent, else the first frame that moves.
     """
     above = links.up(frame)
-    moving = [name for k, name in enumerate(above) if links.moving.intersection(above[k:])]
-    return next((name for name in BASES if name in moving), next((n for n in above if n in links.moving), None))
+    named = next((name for name in BASES if name in above[:-1]), None)
+    return named or next((name for name in above if name in links.moving), None)
 
 
 def no_poses(path: Path, clouds: Sequence[Topic], frame: str) -> CloudFileFault:
     """Return the fault of a recording without poses: how kiss-icp makes them, and how they are given."""
-    name = path.name.split(".")[0]
+    name, topic = path.name.split(".")[0], clouds[0].name
     return CloudFileFault(
         f"{path}: no odometry in it, and no tf from a map to {frame!r}; let kiss-icp find the trajectory: "
-        f"pip install kiss-icp 'rosbags<0.12' && kiss_icp_pipeline --dataloader rosbag --topic {clouds[0].name} {path}, "
+        f"pip install kiss-icp 'rosbags<0.12' && kiss_icp_pipeline --dataloader rosbag --topic {topic} {path}, "
         f"then give it by --poses results/latest/{name}_poses_tum.txt"
     )
