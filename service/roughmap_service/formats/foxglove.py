@@ -1,4 +1,4 @@
-"""Foxglove's messages in protobuf or JSON: clouds as they are, poses and transforms as the ROS messages in CDR."""
+"""Foxglove's messages, in protobuf or JSON, as the ROS messages in CDR."""
 
 import json
 from typing import Any, Final, TypeVar
@@ -15,7 +15,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from roughmap_ros.messages import TYPES, tf_cdr
 from roughmap_ros.messages.poses import header_of
-from roughmap_ros.messages.types import ODOMETRY, POSE_STAMPED, make
+from roughmap_ros.messages.types import ODOMETRY, POINT_CLOUD, POSE_STAMPED, make
 from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.transform import Transform
 from roughmap_service.formats.topics import Role
@@ -32,17 +32,18 @@ ROLES: Final[dict[str, Role]] = {
 """By the name of the schema: what such a topic may be."""
 
 
+DATATYPES: Final = {1: 2, 2: 1, 3: 4, 4: 3, 5: 6, 6: 5, 7: 7, 8: 8}
+"""By Foxglove's number for a type of numbers, that of sensor_msgs/PointField: there signed ones come first."""
+
+
 class BadFoxgloveMessage(ReportedError):
     """A message is not of its schema."""
 
 
-def cloud_of(data: bytes, *, as_json: bool = False) -> PointCloud:
-    """Read a cloud; raises BadFoxgloveMessage."""
-    return _read(PointCloud, data, as_json=as_json)
-
-
 def to_cdr(name: str, data: bytes, *, as_json: bool) -> bytes:
-    """Return a pose or transforms as the ROS message in CDR. Raises BadFoxgloveMessage, or ValueError for a stamp."""
+    """Return a message as the ROS message in CDR. Raises BadFoxgloveMessage, or ValueError for a stamp."""
+    if name == "foxglove.PointCloud":
+        return _cloud_cdr(_read(PointCloud, data, as_json=as_json))
     if name == "foxglove.FrameTransforms":
         return tf_cdr([_transform(one) for one in _read(FrameTransforms, data, as_json=as_json).transforms])
     if name == "foxglove.FrameTransform":
@@ -53,6 +54,30 @@ def to_cdr(name: str, data: bytes, *, as_json: bool) -> bytes:
         message = make(POSE_STAMPED, header=header, pose=_pose(placed.pose))
         return bytes(TYPES.serialize_cdr(message, POSE_STAMPED, little_endian=True))
     return _odometry_cdr(_read(Odometry, data, as_json=as_json))
+
+
+def _cloud_cdr(cloud: PointCloud) -> bytes:
+    p, q = cloud.pose.position, cloud.pose.orientation
+    if any((p.x, p.y, p.z, q.x, q.y, q.z)):
+        raise BadFoxgloveMessage("foxglove.PointCloud: a pose of its own; expected points in its frame")
+    number = len(cloud.data) // max(cloud.point_stride, 1)
+    size = number * cloud.point_stride
+    message = make(
+        POINT_CLOUD,
+        header=header_of(_stamp_ns(cloud.timestamp), cloud.frame_id),
+        height=1,
+        width=number,
+        fields=[
+            make("sensor_msgs/msg/PointField", name=one.name, offset=one.offset, datatype=DATATYPES[one.type], count=1)
+            for one in cloud.fields
+        ],
+        is_bigendian=False,
+        point_step=cloud.point_stride,
+        row_step=size,
+        data=np.frombuffer(cloud.data, np.uint8, size),
+        is_dense=True,
+    )
+    return bytes(TYPES.serialize_cdr(message, POINT_CLOUD, little_endian=True))
 
 
 def _odometry_cdr(odometry: Odometry) -> bytes:

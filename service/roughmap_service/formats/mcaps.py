@@ -13,10 +13,9 @@ from mcap.reader import SeekingReader
 from roughmap_ros.messages import TYPES as STORE
 from roughmap_ros.messages import BadRosMessage
 from roughmap_ros.messages.cdr import CdrReader
-from roughmap_schemas.kinds import Kind, RobotMessage
 from roughmap_service.formats.bag_files import TYPES, fault
 from roughmap_service.formats.bags import read_bag
-from roughmap_service.formats.foxglove import ROLES, BadFoxgloveMessage, cloud_of, to_cdr
+from roughmap_service.formats.foxglove import ROLES, to_cdr
 from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.own_logs import is_own_log, read_own_log
 from roughmap_service.formats.recorded import CloudFileFault, Recorded
@@ -77,6 +76,7 @@ class McapFile:
         if not names:
             return
         last_ns = self.start_ns
+        self._stream.seek(0)
         found = SeekingReader(self._stream, validate_crcs=True).iter_messages(names, ending_before=until_ns)
         while True:
             try:
@@ -94,10 +94,8 @@ class McapFile:
         if raw is None:
             return ""
         try:
-            if raw.cloud is None:
-                return CdrReader(raw.data, topic.name).header().frame_id
-            return cloud_of(raw.cloud.payload).frame_id
-        except (BadRosMessage, BadFoxgloveMessage):
+            return CdrReader(raw.data, topic.name).header().frame_id
+        except BadRosMessage:
             return ""
 
     def _raw(self, channel: "Channel", schema: "Schema | None", data: bytes, log_ns: int) -> Raw:
@@ -108,11 +106,7 @@ class McapFile:
                 return Raw(topic, data, log_ns)
             if channel.message_encoding == "ros1":
                 return Raw(topic, bytes(STORE.ros1_to_cdr(data, _ros_type(name))), log_ns)
-            as_json = channel.message_encoding == "json"
-            if ROLES[name] == "clouds":
-                payload = cloud_of(data, as_json=True).SerializeToString() if as_json else data
-                return Raw(topic, b"", log_ns, RobotMessage(Kind.POINTS, payload, log_ns))
-            return Raw(topic, to_cdr(name, data, as_json=as_json), log_ns)
+            return Raw(topic, to_cdr(name, data, as_json=channel.message_encoding == "json"), log_ns)
         except Exception:  # noqa: BLE001 - what can't be read is empty, and refused by the one who takes it
             return Raw(topic, b"", log_ns)
 

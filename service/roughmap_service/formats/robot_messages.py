@@ -34,12 +34,11 @@ READ_POSE: Final = {"odometry": odometry_message, "pose": pose_message, "pose_st
 
 
 class Raw(NamedTuple):
-    """A message: its topic, its CDR, and when it was recorded, in ns. A cloud may be a message of the contract."""
+    """A message: its topic, its CDR, and when it was recorded, in ns."""
 
     topic: str
     data: bytes
     log_ns: int
-    cloud: RobotMessage | None = None
 
 
 class Source(Protocol):
@@ -75,9 +74,6 @@ def robot_messages(source: Source, options: ReadOptions) -> Iterator[Contents | 
     bad: dict[str, tuple[int, str]] = {}
     for raw in source.messages(feed.wanted()):
         options.reached((raw.log_ns - source.start_ns) / span)
-        if raw.cloud is not None:
-            yield raw.cloud
-            continue
         try:
             found = feed.take(raw.topic, raw.data, raw.log_ns)
         except BadRosMessage as error:
