@@ -8,11 +8,11 @@ from pathlib import Path
 
 from roughmap_service.formats.bag_files import open_bag
 from roughmap_service.formats.options import ReadOptions
+from roughmap_service.formats.posed_clouds import messages_of
 from roughmap_service.formats.recorded import Recorded
-from roughmap_service.formats.robot_messages import robot_messages
 
 
 def read_bag(path: Path, options: ReadOptions) -> Iterator[Recorded]:
     """Return a robot's messages in the order in which they were recorded. Raises CloudFileFault and OSError."""
     with open_bag(path) as bag:
-        yield from robot_messages(bag, options)
+        yield from messages_of(bag, options)

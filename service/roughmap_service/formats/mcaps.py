@@ -18,8 +18,9 @@ from roughmap_service.formats.bags import read_bag
 from roughmap_service.formats.foxglove import ROLES, to_cdr
 from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.own_logs import is_own_log, read_own_log
+from roughmap_service.formats.posed_clouds import messages_of
 from roughmap_service.formats.recorded import CloudFileFault, Recorded
-from roughmap_service.formats.robot_messages import Raw, robot_messages
+from roughmap_service.formats.robot_messages import Raw
 from roughmap_service.formats.topics import Role, Topic
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def read_mcap(path: Path, options: ReadOptions) -> Iterator[Recorded]:
         elif profile == "ros2":
             yield from read_bag(path, options)
         else:
-            yield from robot_messages(McapFile(path, stream, summary), options)
+            yield from messages_of(McapFile(path, stream, summary), options)
 
 
 class McapFile:
