@@ -92,13 +92,14 @@ def build(
     name = only_robot(config, robot)
     options = read_options(config, name, reading, any_sensor=range_sigma is not None)
     wanted, stop = Wanted(name, sensor, range_sigma), threading.Event()
+    crs = _crs(recordings)
     built = _watched(stop, lambda watch: build_map(recordings, config, options, wanted, watch, stop))
     for warning in built.warnings:
         click.echo(f"roughmap: warning: {printable(warning)}", err=True)
     for stale in (output, *(output.with_name(output.name + end) for end in ("-wal", "-shm"))):
         stale.unlink(missing_ok=True)
     settled = built.config
-    Store(output).write_map(built.map, settled.public_dict(), configuration_digest(settled), uuid.uuid4().hex)
+    Store(output).write_map(built.map, settled.public_dict(), configuration_digest(settled), uuid.uuid4().hex, crs)
     extent = built.map.extent()
     report = {
         "output": str(output),
@@ -123,6 +124,17 @@ def build(
     if built.interrupted:
         click.echo(f"roughmap: interrupted; {output} holds what was read until then", err=True)
         click.get_current_context().exit(130)
+
+
+def _crs(recordings: tuple[Path, ...]) -> str | None:
+    """Return the coordinate reference system of all recordings that state one; BadUse if they state different ones."""
+    from roughmap_service.formats.crs import crs_of
+
+    found = {crs: path for path in recordings if (crs := crs_of(path)) is not None}
+    if len(found) > 1:
+        paths = " and ".join(str(path) for path in list(found.values())[:2])
+        raise BadUse(f"{paths} are in different coordinate reference systems; project them to one")
+    return next(iter(found), None)
 
 
 def _watched(stop: threading.Event, build: "Callable[[Watch], Built]") -> "Built":

@@ -98,12 +98,13 @@ def open_bag(path: Path) -> Iterator[Bag]:
     try:
         reader = Reader1(path) if path.suffix.lower() == ".bag" and path.is_file() else Reader2(path)
         reader.open()
+        bag = Bag(path, reader)
     except PermissionError:
         raise
     except Exception as error:  # rosbags and what unpacks raise almost anything for bad bytes
         raise fault(path, error) from error
     try:
-        yield Bag(path, reader)
+        yield bag
     finally:
         reader.close()
 

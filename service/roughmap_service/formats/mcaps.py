@@ -34,9 +34,10 @@ MAX_CHUNK = 1 << 30
 def read_mcap(path: Path, options: ReadOptions) -> Iterator[Recorded]:
     """Return a robot's messages in the order in which they were recorded. Raises CloudFileFault and OSError."""
     with path.open("rb") as stream:
-        reader = SeekingReader(stream, validate_crcs=True)
         try:
+            reader = SeekingReader(stream, validate_crcs=True)
             profile, summary = reader.get_header().profile, reader.get_summary()
+            own = is_own_log(reader)
         except Exception as error:  # the library raises almost anything for bad bytes
             raise fault(path, error) from error
         if summary is None or summary.statistics is None:
@@ -44,7 +45,7 @@ def read_mcap(path: Path, options: ReadOptions) -> Iterator[Recorded]:
         largest = max((one.uncompressed_size for one in summary.chunk_indexes), default=0)
         if largest > MAX_CHUNK:
             raise CloudFileFault(f"{path}: expected chunks of at most {MAX_CHUNK} bytes, found one of {largest}")
-        if is_own_log(reader):
+        if own:
             yield from read_own_log(path, reader, summary, options)
         elif profile == "ros2":
             yield from read_bag(path, options)

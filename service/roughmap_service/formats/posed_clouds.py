@@ -51,6 +51,7 @@ def posed_clouds(source: Source, options: ReadOptions) -> Iterator[Contents | Ro
         poses = poses or _Poses(trajectory, options.map_frame, by_log=_by_log(trajectory, stamp_ns, raw.log_ns))
         yield from poses.before(stamp_ns, raw.log_ns)
         yield cloud
+    options.reached(1.0)
     if poses is not None:
         yield from poses.rest(source.end_ns)
 

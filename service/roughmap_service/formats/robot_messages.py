@@ -81,6 +81,7 @@ def robot_messages(source: Source, options: ReadOptions) -> Iterator[Contents | 
             bad[raw.topic] = number + 1, first
             continue
         yield from found
+    options.reached(1.0)
     yield from feed.end()
     for topic, (number, first) in bad.items():
         options.note(f"{source.path}: {topic}: {number:,} messages were left out, the first one since: {first}")
