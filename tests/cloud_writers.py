@@ -115,15 +115,18 @@ def pcd_bytes(points: np.ndarray, data: str, size: int = 8, viewpoint: str = "0 
     return head + struct.pack("<II", len(packed), len(planes)) + packed
 
 
+def tum_line(stamp_ns: int, position: np.ndarray, rotation: np.ndarray) -> str:
+    numbers = " ".join(repr(float(value)) for value in (*position, *rotation))
+    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d} {numbers}\n"
+
+
 def write_tum(path: Path, stamps_ns: list[int], poses: np.ndarray) -> Path:
     """A trajectory of poses (K, 4, 4), with all digits."""
     from scipy.spatial.transform import Rotation
 
-    lines = ["# t x y z qx qy qz qw\n"]
-    for stamp, pose in zip(stamps_ns, poses, strict=True):
-        numbers = [*pose[:3, 3].tolist(), *Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()]
-        lines.append(f"{stamp // 10**9}.{stamp % 10**9:09d} {' '.join(map(repr, numbers))}\n")
-    path.write_text("".join(lines))
+    turns = [Rotation.from_matrix(pose[:3, :3]).as_quat() for pose in poses]
+    lines = [tum_line(stamp, pose[:3, 3], turn) for stamp, pose, turn in zip(stamps_ns, poses, turns, strict=True)]
+    path.write_text("# t x y z qx qy qz qw\n" + "".join(lines))
     return path
 
 

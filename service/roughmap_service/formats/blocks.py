@@ -1,8 +1,8 @@
 """Rows of points in binary files and in text, in bounded parts, for the readers of PLY and PCD."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -35,11 +35,12 @@ def read_line(file: Path, stream: BinaryIO) -> bytes:
     return line.rstrip(b"\r\n")
 
 
-def columns(rows: npt.NDArray[np.void]) -> Floats:
-    """Return the fields x, y and z of rows as (N, 3)."""
-    points = np.empty((len(rows), 3))
-    for k, axis in enumerate(AXES):
-        points[:, k] = rows[axis]
+def columns(planes: Sequence[npt.NDArray[Any]]) -> Floats:
+    """Return x, y and z, each (N,) of any number type, as (N, 3)."""
+    points = np.empty((len(planes[0]), 3))
+    with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN
+        for k, plane in enumerate(planes):
+            points[:, k] = plane
     return points
 
 
@@ -59,7 +60,8 @@ def binary_rows(
         data = stream.read(rows * dtype.itemsize)
         if len(data) < rows * dtype.itemsize:
             raise CloudFileFault(f"{file}: became shorter while it was read")
-        yield columns(np.frombuffer(data, dtype))
+        read = np.frombuffer(data, dtype)
+        yield columns([read[axis] for axis in AXES])
         options.reached((done + rows) / count)
 
 

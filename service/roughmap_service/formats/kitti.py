@@ -66,7 +66,8 @@ def _scan(file: Path) -> Floats:
             )
         data = stream.read(size)
     values = np.frombuffer(data[: len(data) // POINT_BYTES * POINT_BYTES], "<f4").reshape(-1, 4)
-    return values[:, :3].astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN
+        return values[:, :3].astype(np.float64)
 
 
 def _poses(folder: Path, numbers: list[int], options: ReadOptions) -> list[StampedPose | None]:

@@ -14,7 +14,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from roughmap_schemas.geometry import normalised
-from roughmap_service.formats.blocks import AXES, binary_rows, read_line, size_of, text_rows
+from roughmap_service.formats.blocks import AXES, binary_rows, columns, read_line, size_of, text_rows
 from roughmap_service.formats.lzf import MOST_PER_BYTE, unpack
 from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.recorded import PART_ROWS, CloudFileFault, Floats, PlacedPoints, RecordedScan
@@ -169,5 +169,5 @@ def _unpacked(file: Path, stream: BinaryIO, header: Header, options: ReadOptions
         for k in _places(header)
     ]
     for row in range(0, header.points, PART_ROWS):
-        yield np.stack([plane[row : row + PART_ROWS] for plane in planes], axis=1).astype(np.float64)
+        yield columns([plane[row : row + PART_ROWS] for plane in planes])
         options.reached(min(row + PART_ROWS, header.points) / header.points)
