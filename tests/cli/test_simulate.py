@@ -109,7 +109,7 @@ def test_a_recording_is_played_under_the_names_given(tmp_path: Path, capsys: pyt
 @pytest.mark.parametrize(
     ("arrays", "said"),
     [
-        ({"points": np.zeros((3, 3))}, "scan_start and pose"),
+        ({"points": np.zeros((3, 2))}, "numeric points"),
         ({"points": np.zeros((3, 3)), "scan_start": np.array([0, 9]), "pose": np.eye(4)[None]}, "at most 3"),
     ],
 )

@@ -5,7 +5,7 @@ specification.
 """
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +13,8 @@ import laspy
 import numpy as np
 import pypcd4
 import pytest
+from bag_writers import T0 as FIRST_STAMP
+from bag_writers import Said, drive, write_foxglove, write_mcap_folder, write_mcap_ros2, write_ros1, write_sqlite
 from cloud_writers import OFFSET, SCALE, las_bytes, on_grid, pcd_bytes, ply_bytes, write_kitti, write_tum
 
 from roughmap_schemas.cloud import decode_cloud
@@ -104,6 +106,20 @@ def clouds(folder: Path, points: np.ndarray) -> Path:
     return folder / "scans"
 
 
+def bag(write: Callable[[Path, Sequence[Said]], Path]) -> Callable[[Path, np.ndarray], Path]:
+    """Write the points as two clouds of a robot, with its poses and its sensor's place on it."""
+
+    def written(folder: Path, points: np.ndarray) -> Path:
+        said = [one for one in drive(0.2) if one.kind != "cloud"]
+        for k, part in enumerate(halves(points)):
+            rows = np.column_stack((part, np.zeros(len(part)))).astype("<f4")
+            content = {"stamp_ns": FIRST_STAMP + k, "frame": "velodyne", "rows": rows}
+            said.append(Said("/velodyne_points", "cloud", said[-1].log_ns + 1, content))
+        return write(folder / "bag", said)
+
+    return written
+
+
 SAMPLES = [
     Sample("npz", "npz.read_npz", npz),
     Sample("text", "text.read_text", in_file("cloud.xyz", xyz)),
@@ -123,6 +139,16 @@ SAMPLES = [
     ),
     Sample("pypcd4 ascii", "pcd.read_pcd", pypcd("ascii"), in_ten_decimals),
     *(Sample(f"pypcd4 {data}", "pcd.read_pcd", pypcd(data)) for data in ("binary", "binary_compressed")),
+    *(
+        Sample(name, reader, bag(write), in_float32, damaged=damaged)
+        for name, reader, write, damaged in (
+            ("rosbag2 sqlite3", "bags.read_bag", write_sqlite, lambda p: [p / "drive_0.db3", p / "metadata.yaml"]),
+            ("rosbag2 mcap", "bags.read_bag", write_mcap_folder, lambda p: [p / "drive_0.mcap", p / "metadata.yaml"]),
+            ("ros 1 bag", "bags.read_bag", lambda p, said: write_ros1(p.with_suffix(".bag"), said), lambda p: [p]),
+            ("mcap ros 2", "mcaps.read_mcap", lambda p, s: write_mcap_ros2(p.with_suffix(".mcap"), s), lambda p: [p]),
+            ("mcap foxglove", "mcaps.read_mcap", lambda p, s: write_foxglove(p.with_suffix(".mcap"), s), lambda p: [p]),
+        )
+    ),
     Sample(
         "kitti",
         "kitti.read_kitti",

@@ -36,16 +36,6 @@ def read_npz(file: Path, _options: ReadOptions) -> Iterator[RecordedScan | Place
     return _scans(file, arrays) if _is_scans(arrays) else _placed(file, arrays)
 
 
-def read_scans(file: Path) -> Iterator[RecordedScan]:
-    """Return the scans of a file; CloudFileFault if it does not hold scans with poses."""
-    if file.suffix.lower() != ".npz":
-        raise CloudFileFault(f"{file}: expected an .npz of scans with poses, found {file.suffix or 'no suffix'!r}")
-    arrays = _load(file)
-    if not _is_scans(arrays):
-        raise CloudFileFault(f"{file}: expected arrays scan_start and pose beside points, found {_names(arrays)}")
-    return _scans(file, arrays)
-
-
 def _check_size(file: Path, archive: zipfile.ZipFile) -> None:
     """Check the unpacked size before unpacking: zeros pack to a thousandth of their size."""
     size = sum(entry.file_size for entry in archive.infolist())

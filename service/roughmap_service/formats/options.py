@@ -25,9 +25,9 @@ class ReadOptions:
     """Options of `roughmap build` and `roughmap simulate --from` for all readers; each reads those that it knows.
 
     `scan_seconds`: points with times of their own become scans of so many seconds; None: one cloud. `poses`: a file of
-    poses beside clouds that have none. `topics`: which topics of a bag are a robot's; None: found by their types.
-    `map_frame` and `sensors`, by frame, are those of the configuration; with `any_sensor` clouds in other frames are
-    read too.
+    poses beside clouds that have none. `topics`: which topics of a bag are a robot's; None: found by their types,
+    unless `clouds` and `odometry` name them. `map_frame` and `sensors`, by frame, are those of the configuration; with
+    `any_sensor` clouds in other frames are read too.
 
     `reached` is called with the share of the recording that has been read, 0 to 1; `left_out` with a reason and a
     number of points that the reader left out for it ("noise", "withheld", "no_pose"); `note` with a line for the user,
@@ -37,6 +37,8 @@ class ReadOptions:
     scan_seconds: float | None = None
     poses: Path | None = None
     topics: Ros2RobotConfig | None = None
+    clouds: tuple[str, ...] = ()
+    odometry: str | None = None
     map_frame: str = "map"
     sensors: Mapping[str, SensorConfig] = field(default_factory=dict)
     any_sensor: bool = True

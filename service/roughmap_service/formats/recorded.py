@@ -41,14 +41,14 @@ class PlacedPoints(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """What comes before the messages of a recording: the frame that its poses are in, and what to tell the user.
+    """What comes before the messages of a recording: the frame of the map that its poses lead to.
 
-    The transforms among its messages give the extrinsics of the sensors with the frames `mounted`.
+    The transforms among its messages give the extrinsics of the sensors with the frames `mounted`; other sensors are at
+    the pose itself, unless they are configured.
     """
 
     map_frame: str
-    mounted: frozenset[str]
-    notes: tuple[str, ...] = ()
+    mounted: frozenset[str] = frozenset()
 
 
 Recorded = RecordedScan | PlacedPoints | Contents | RobotMessage
