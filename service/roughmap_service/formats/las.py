@@ -21,9 +21,10 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from roughmap_service.formats.blocks import PART_BYTES, size_of
+from roughmap_service.formats.blocks import PART_BYTES
 from roughmap_service.formats.gps_time import stamps_of
 from roughmap_service.formats.las_header import WITH_TIME, LasHeader, read_header
+from roughmap_service.formats.laz_chunks import check_chunks
 from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.recorded import PART_ROWS, CloudFileFault, Floats, PlacedPoints
 
@@ -117,7 +118,8 @@ def _unpacker(file: Path, stream: BinaryIO, header: LasHeader) -> Any:
         lazrs = import_module("lazrs")
     except ModuleNotFoundError:
         raise CloudFileFault(f"{file}: reading LAZ files needs lazrs: pip install 'roughmap[las]'") from None
-    _check_chunks(file, stream, header)
+    check_chunks(file, stream, header)
+    stream.seek(header.begin)
     try:
         bytes_each = lazrs.LazVlr(header.laszip).item_size()
         if bytes_each != header.record_bytes:
@@ -127,27 +129,6 @@ def _unpacker(file: Path, stream: BinaryIO, header: LasHeader) -> Any:
         raise
     except Exception as error:  # what lazrs raises
         raise CloudFileFault(f"{file}: not a readable LAZ file ({error}); copy it again") from error
-
-
-def _check_chunks(file: Path, stream: BinaryIO, header: LasHeader) -> None:
-    """Check the number of chunks that the file says it has: lazrs takes memory for so many, and ends if there is none.
-
-    Where the chunk table stands is said just before the points; if there is -1, at the end of the file. It begins with
-    a version and the number of chunks. A chunk has at least one point that is not packed.
-    """
-    size = size_of(stream)
-    data = stream.read(8)
-    place = int.from_bytes(data, "little", signed=True)
-    if place == -1:
-        stream.seek(size - 8)
-        place = int.from_bytes(stream.read(8), "little", signed=True)
-    if len(data) == 8 and header.begin + 8 <= place <= size - 8:
-        stream.seek(place + 4)
-        chunks = int.from_bytes(stream.read(4), "little")
-        if chunks <= (place - header.begin - 8) // header.record_bytes:
-            stream.seek(header.begin)
-            return
-    raise CloudFileFault(f"{file}: its table of chunks is missing or damaged; the file is cut off: copy it again")
 
 
 def _kept(
