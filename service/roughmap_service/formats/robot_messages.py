@@ -1,11 +1,12 @@
 """The messages of a robot from a recording of ROS topics, whatever its file: which topics and frames, in which order.
 
 A `Source` gives the topics of a recording and their messages as CDR. tf is read ahead for `LOOK_NS` to find the robot's
-base and the frame of its map. Nothing else of a recording is read before its turn.
+base and the frame of its map, and static transforms to the end: they hold from the beginning, as for a node that
+subscribes to them. Nothing else of a recording is read before its turn.
 """
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
@@ -18,17 +19,22 @@ from roughmap_ros.messages import (
     odometry_message,
     pose_message,
     pose_stamped_message,
+    tf_cdr,
     transforms_of,
 )
 from roughmap_schemas.geometry import Quaternion, Vector
 from roughmap_schemas.kinds import RobotMessage
 from roughmap_schemas.ros2_sections import Ros2RobotConfig
+from roughmap_schemas.transform import Transform
 from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.recorded import CloudFileFault, Contents
 from roughmap_service.formats.topics import Links, Role, Topic, base_frame, choose, no_poses
 
 LOOK_NS: Final = 30_000_000_000
 """How much of tf is read ahead."""
+
+MAX_FRAMES: Final = 10_000
+"""Frames of tf that are looked at; robots have some hundred."""
 
 READ_POSE: Final = {"odometry": odometry_message, "pose": pose_message, "pose_stamped": pose_stamped_message}
 
@@ -58,18 +64,26 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Plan:
-    """What is read of a recording: the topics of the robot, the frame of its map, and the sensors mounted by tf."""
+    """What is read of a recording: the topics of the robot, the frame of its map, and the sensors mounted by tf.
+
+    `found` are those of them that tf has; the others may be known from a recording before. `fixed` are the first static
+    transforms of each frame.
+    """
 
     topics: Ros2RobotConfig
     map_frame: str
     mounted: frozenset[str]
+    found: frozenset[str]
+    fixed: list[Transform]
 
 
 def robot_messages(source: Source, options: ReadOptions) -> Iterator[Contents | RobotMessage]:
     """Return what the messages hold, then the messages. Raises CloudFileFault."""
     plan = plan_of(source, options)
     yield Contents(plan.map_frame, plan.mounted)
-    feed = RobotFeed(plan.topics, plan.map_frame, plan.mounted)
+    feed = RobotFeed(plan.topics, plan.map_frame, plan.found)
+    if plan.fixed and plan.topics.tf_static:
+        yield from feed.take(plan.topics.tf_static, tf_cdr(plan.fixed), source.start_ns)
     span = max(source.end_ns - source.start_ns, 1)
     bad: dict[str, tuple[int, str]] = {}
     for raw in source.messages(feed.wanted()):
@@ -85,13 +99,13 @@ def robot_messages(source: Source, options: ReadOptions) -> Iterator[Contents | 
     yield from feed.end()
     for topic, (number, first) in bad.items():
         options.note(f"{source.path}: {topic}: {number:,} messages were left out, the first one since: {first}")
-    for problem in feed.problems(source.end_ns):
+    for problem in feed.problems(source.start_ns):  # as of the start: that topics end in a recording is no problem
         options.note(f"{source.path}: {problem}")
 
 
 def plan_of(source: Source, options: ReadOptions) -> Plan:
     """Return what is read, by the topics' types and by tf. Raises CloudFileFault if that is unclear."""
-    links = _links(source)
+    links, fixed = _links(source)
     if options.topics is not None:
         topics = options.topics
         frames = _frames(source, topics)
@@ -114,7 +128,8 @@ def plan_of(source: Source, options: ReadOptions) -> Plan:
         for frame in frames.values()
         if frame != topics.base and (frame not in options.sensors or options.sensors[frame].extrinsics == "transform")
     )
-    return Plan(topics, map_frame, mounted)
+    found = frozenset(frame for frame in mounted if topics.base in links.up(frame))
+    return Plan(topics, map_frame, mounted, found, fixed)
 
 
 def _frames(source: Source, topics: Ros2RobotConfig) -> dict[Topic, str]:
@@ -169,21 +184,24 @@ def _first_pose(source: Source, topic: Topic) -> PoseRead | None:
     return None
 
 
-def _links(source: Source) -> Links:
-    """Return the links of tf in the first part of the recording."""
-    names = [topic.name for topic in source.topics if topic.role in {"tf", "tf_static"}]
+def _links(source: Source) -> tuple[Links, list[Transform]]:
+    """Return the links of tf in the first part of the recording, and the first static transform of each frame."""
     parents: dict[str, str] = {}
     places: dict[str, tuple[Vector, Quaternion]] = {}
     moving: set[str] = set()
-    for raw in source.messages(names, source.start_ns + LOOK_NS):
-        try:
-            transforms = transforms_of(raw.data)
-        except BadRosMessage:
-            continue
-        for one in transforms:
-            child = one.child_frame_id
-            parents[child] = one.parent_frame_id
-            where = one.translation, one.rotation
-            if places.setdefault(child, where) != where:
-                moving.add(child)
-    return Links(parents, frozenset(moving))
+    fixed: dict[str, Transform] = {}
+    for role, until_ns in (("tf_static", None), ("tf", source.start_ns + LOOK_NS)):
+        names = [topic.name for topic in source.topics if topic.role == role]
+        for raw in source.messages(names, until_ns):
+            try:
+                transforms = transforms_of(raw.data)
+            except BadRosMessage:
+                continue
+            for one in transforms[: MAX_FRAMES - len(parents)]:
+                child, where = one.child_frame_id, (one.translation, one.rotation)
+                parents[child] = one.parent_frame_id
+                if role == "tf_static":
+                    fixed.setdefault(child, replace(one, stamp_ns=0))
+                elif places.setdefault(child, where) != where:
+                    moving.add(child)
+    return Links(parents, frozenset(moving)), list(fixed.values())
