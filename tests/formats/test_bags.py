@@ -146,10 +146,14 @@ def test_odometry_without_a_map_is_mapped_in_its_own_frame(tmp_path: Path) -> No
 
 def test_a_bag_without_poses_says_how_kiss_icp_makes_them(tmp_path: Path) -> None:
     said = [one for one in drive() if one.kind != "odometry"]
-    text = fault(KINDS["sqlite"](tmp_path, said))
+    text = fault(KINDS["mcap folder"](tmp_path, said))
     assert "no odometry" in text
-    assert f"kiss_icp_pipeline --dataloader rosbag --topic /velodyne_points {tmp_path / 'bag'}" in text
-    assert "--poses results/latest/bag_poses_tum.txt" in text
+    assert f"kiss_icp_pipeline --dataloader rosbag --topic /velodyne_points {tmp_path / 'bag'}, then" in text
+    assert text.endswith("--poses results/latest/bag_poses_tum.txt")
+    (tmp_path / "old").mkdir()
+    text = fault(KINDS["sqlite"](tmp_path / "old", said))  # of Humble: without definitions
+    assert f"rosbags-convert --src {tmp_path / 'old/bag'} --dst {tmp_path / 'old/bag_typed'}" in text
+    assert text.endswith("--poses results/latest/bag_typed_poses_tum.txt")
 
 
 def test_several_topics_of_clouds_are_listed_with_the_option_that_chooses(tmp_path: Path) -> None:

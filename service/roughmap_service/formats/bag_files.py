@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
 
@@ -49,6 +50,8 @@ class Bag:
             self._readers.setdefault(name, []).append(connection)
             before = counts[name].messages if name in counts else 0
             counts[name] = Topic(name, role, before + connection.msgcount)
+        formats = {one.msgdef.format for one in reader.connections}
+        self.typed = MessageDefinitionFormat.NONE not in formats
         self.topics = sorted(counts.values())
         self.start_ns, self.end_ns = (reader.start_time, reader.end_time) if reader.message_count else (0, 0)
 

@@ -58,6 +58,7 @@ class McapFile:
 
     def __init__(self, path: Path, stream: BinaryIO, summary: "Summary") -> None:
         self.path = path
+        self.typed = True
         self._stream = stream
         self._known: dict[str, Topic] = {}
         statistics = summary.statistics
