@@ -130,12 +130,12 @@ def no_poses(path: Path, cloud: Topic, frame: str, *, typed: bool) -> CloudFileF
 
     kiss-icp reads only bags that hold the definitions of their types; older ones of rosbag2 don't (not ``typed``).
     """
-    bag, first = path, ""
+    bag, first, topic = path, "", cloud.name
     if not typed:
         bag = path.with_name(f"{path.name.split('.')[0]}_typed")
         first = f"rosbags-convert --src {path} --dst {bag} --src-typestore ros2_humble && "
     return CloudFileFault(
         f"{path}: no odometry in it, and no tf from a map to {frame!r}; let kiss-icp find the trajectory: "
-        f"pip install kiss-icp 'rosbags<0.12' && {first}kiss_icp_pipeline --dataloader rosbag --topic {cloud.name} {bag}"
-        f", then give it by --poses results/latest/{bag.name.split('.')[0]}_poses_tum.txt"
+        f"pip install kiss-icp 'rosbags<0.12' && {first}kiss_icp_pipeline --dataloader rosbag --topic {topic} {bag}, "
+        f"then give it by --poses results/latest/{bag.name.split('.')[0]}_poses_tum.txt"
     )
