@@ -127,7 +127,11 @@ SAMPLES = [
     Sample("las 1.4", "las.read_las", in_file("cloud.las", lambda p: las_bytes(p, minor=4, form=6)), on_grid),
     Sample("laz", "las.read_las", laz, on_grid, extra=("lazrs", "las")),
     Sample(
-        "las by time", "las.read_las", in_file("cloud.las", las_bytes), on_grid, lambda _: ReadOptions(scan_seconds=0.1)
+        "las by time",
+        "las.read_las",
+        in_file("cloud.las", lambda p: las_bytes(p, times=np.arange(len(p)) / 1000)),
+        on_grid,
+        lambda _: ReadOptions(scan_seconds=0.5),
     ),
     *(
         Sample(f"ply {form}", "ply.read_ply", in_file("cloud.ply", lambda p, form=form: ply_bytes(p, form)))

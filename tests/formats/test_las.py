@@ -144,6 +144,7 @@ def test_too_many_points_out_of_order_are_told(tmp_path: Path, monkeypatch: pyte
     ("content", "said"),
     [
         (las_bytes(POINTS, form=0), "no gps_time"),
+        (las_bytes(POINTS), "the same gps_time"),
         (las_bytes(POINTS, times=np.array([1.0, 2.0, 3e8])), "seconds of the GPS week"),
         (las_bytes(POINTS, times=np.array([1.0, np.nan, 3.0])), "seconds of the GPS week"),
         (las_bytes(POINTS, times=np.array([1.0, 2.0, 1e12]), encoding=1), "adjusted standard GPS time"),

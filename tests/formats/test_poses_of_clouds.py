@@ -146,7 +146,8 @@ def test_stamps_of_a_trajectory_are_exact_to_the_nanosecond(tmp_path: Path) -> N
         ("1 nan 0 0 0 0 0 1\n", "finite"),
         ("-1 0 0 0 0 0 0 1\n", "0 to 2"),
         ("nan 0 0 0 0 0 0 1\n", "0 to 2"),
-        ("1 0 0 0 0 1 0 0 0 0 1 0\n", "KITTI's poses have no stamps"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 0 0 1\n", "line 2: expected as many numbers"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n2 0 0 0 0 2 0 0 0 0 2 0\n", "pose 1 .*scaled by 2"),
     ],
 )
 def test_a_trajectory_that_is_none(tmp_path: Path, content: str, said: str) -> None:
@@ -208,7 +209,25 @@ def test_poses_of_another_clock_are_taken_in_turn(tmp_path: Path) -> None:
     scans = scans_of(folder, ReadOptions(poses=trajectory, note=notes.append))
     assert [scan.stamp_ns for scan in scans] == [START + 50_000_000, START + 150_000_000]
     assert np.allclose(matrices(scans), poses(2))
-    assert "recorded at other times" in notes[0]
+    assert "no stamps of these clouds" in notes[0]
+
+
+def test_numbered_poses_beside_stamps_near_zero(tmp_path: Path) -> None:
+    """0, 1, 2 are no seconds then: they would fit one scan only."""
+    folder = write_kitti(tmp_path / "00", [np.ones((1, 3))] * 3, poses(3), np.eye(4), [0.0, 0.1, 0.2])
+    trajectory = write_tum(tmp_path / "traj.txt", [0, SECOND, 2 * SECOND], poses(3))
+    scans = scans_of(folder, ReadOptions(poses=trajectory))
+    assert [scan.stamp_ns for scan in scans] == [0, 100_000_000, 200_000_000]
+    assert np.allclose(matrices(scans), poses(3))
+
+
+def test_poses_in_the_form_of_kitti(tmp_path: Path) -> None:
+    folder = clouds(tmp_path / "scans", ["1725981157.05.ply", "1725981157.15.pcd"])
+    rows = [" ".join(map(repr, pose[:3].ravel().tolist())) for pose in poses(2)]
+    (tmp_path / "poses.txt").write_text("\n".join(rows))
+    scans = scans_of(folder, ReadOptions(poses=tmp_path / "poses.txt"))
+    assert [scan.stamp_ns for scan in scans] == [START + 50_000_000, START + 150_000_000]
+    assert np.allclose(matrices(scans), poses(2), rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from roughmap_schemas.geometry import MAX_STAMP_S, SECOND_NS, quaternion_of
 from roughmap_service.formats.blocks import size_of
 from roughmap_service.formats.options import ReadOptions
-from roughmap_service.formats.poses import check_poses
+from roughmap_service.formats.poses import BOTTOM, check_poses
 from roughmap_service.formats.recorded import CloudFileFault, Floats, RecordedScan
 from roughmap_service.formats.trajectories import StampedPose, poses_of_clouds
 
@@ -29,8 +29,6 @@ POINT_BYTES = 16
 MAX_SCAN_BYTES = 20_000_000 * POINT_BYTES
 
 MAX_TEXT_BYTES = 1 << 30
-
-BOTTOM = (0.0, 0.0, 0.0, 1.0)
 
 
 def read_kitti(folder: Path, options: ReadOptions) -> Iterator[RecordedScan]:

@@ -24,6 +24,7 @@ import numpy.typing as npt
 from roughmap_service.formats.blocks import PART_BYTES
 from roughmap_service.formats.gps_time import stamps_of
 from roughmap_service.formats.las_header import WITH_TIME, LasHeader, read_header
+from roughmap_service.formats.laz_chunks import check_chunks
 from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.recorded import PART_ROWS, CloudFileFault, Floats, PlacedPoints
 
@@ -117,6 +118,8 @@ def _unpacker(file: Path, stream: BinaryIO, header: LasHeader) -> Any:
         lazrs = import_module("lazrs")
     except ModuleNotFoundError:
         raise CloudFileFault(f"{file}: reading LAZ files needs lazrs: pip install 'roughmap[las]'") from None
+    check_chunks(file, stream, header)
+    stream.seek(header.begin)
     try:
         bytes_each = lazrs.LazVlr(header.laszip).item_size()
         if bytes_each != header.record_bytes:
@@ -187,12 +190,13 @@ class _Streamed:
     def _survey(self) -> tuple[Counter[int], bool]:
         """Read all times; return the number of points in each scan, and whether the file is in order."""
         scans: Counter[int] = Counter()
-        last, in_order = np.iinfo(np.int64).min, True
+        first = last = np.iinfo(np.int64).min
+        in_order = True
         for _, stamps in self._read(0.0, 0.5):
             if not len(stamps):
                 continue
             in_order = in_order and bool(stamps[0] >= last) and bool((np.diff(stamps) >= 0).all())
-            last = stamps[-1]
+            first, last = stamps[0] if not scans else first, stamps[-1]
             numbers, counts = np.unique(stamps // self._scan_ns, return_counts=True)
             scans.update(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
             if len(scans) > MOST_SCANS:
@@ -200,6 +204,8 @@ class _Streamed:
                     f"{self._file}: more than {MOST_SCANS} scans of {self._scan_ns / 1e9:g} s; give a longer "
                     "--scan-seconds"
                 )
+        if in_order and first == last and scans.total() > 1:
+            raise CloudFileFault(f"{self._file}: all points have the same gps_time; leave out --scan-seconds")
         return scans, in_order
 
     def _groups(self, scans: Counter[int]) -> list[tuple[int, int]]:

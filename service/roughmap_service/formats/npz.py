@@ -57,7 +57,8 @@ def _load(file: Path) -> Arrays:
     except (CloudFileFault, OSError):
         raise
     except Exception as error:  # zipfile and numpy raise almost anything for bytes that are not an archive
-        raise CloudFileFault(f"{file}: not a readable NPZ file ({str(error) or type(error).__name__})") from error
+        what = (str(error) or type(error).__name__)[:100]
+        raise CloudFileFault(f"{file}: not a readable NPZ file ({what!r})") from error
     points = arrays.get("points")
     if points is None or points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "iuf":
         found = "none" if points is None else f"{points.dtype} {points.shape}"

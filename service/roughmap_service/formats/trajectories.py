@@ -1,7 +1,9 @@
-"""Trajectories in TUM's form: a text file with a pose in each line, `t x y z qx qy qz qw`.
+"""Trajectories in text files with a pose in each line: TUM's form, `t x y z qx qy qz qw`, and KITTI's without stamps.
 
 t is in seconds, and is read to the nanosecond; x, y and z are metres in the map frame, and the quaternion turns the
 sensor's axes into the map's. Stamps must rise. Empty lines and those that begin with # are skipped.
+
+A line in KITTI's form has the twelve numbers of a pose (3x4, row by row). Programs often write more digits there.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from roughmap_schemas.geometry import MAX_STAMP_S, SECOND_NS, normalised
+from roughmap_schemas.geometry import MAX_STAMP_S, SECOND_NS, normalised, quaternion_of
+from roughmap_service.formats.poses import BOTTOM, check_poses
 from roughmap_service.formats.recorded import CloudFileFault, Floats
 
 MAX_GAP_NS = 500_000_000
@@ -79,9 +82,12 @@ class PoseFile(NamedTuple):
 
 
 def read_trajectory(path: Path) -> PoseFile:
-    """Return the poses of a file. Raises CloudFileFault, which names the line, and OSError."""
+    """Return the poses of a file; those without stamps are numbered by seconds: 0 s, 1 s and so on.
+
+    Raises CloudFileFault, which names the line, and OSError.
+    """
     stamps: list[int] = []
-    poses: list[list[float]] = []
+    rows: list[list[float]] = []
     with path.open("rb") as stream:
         number = 0
         while line := stream.readline(MAX_LINE):
@@ -90,7 +96,9 @@ def read_trajectory(path: Path) -> PoseFile:
             if not words or words[0].startswith("#"):
                 continue
             try:
-                stamp, pose = _pose(words)
+                stamp, row = _row(words, len(stamps))
+                if rows and len(row) != len(rows[0]):
+                    raise ValueError(f"expected as many numbers as in the lines before, found {len(words)}")
                 if stamps and stamp <= stamps[-1]:
                     raise ValueError(f"stamp {words[0]} is not after the one before; sort the lines, each stamp once")
                 if len(stamps) == MAX_POSES:
@@ -98,30 +106,36 @@ def read_trajectory(path: Path) -> PoseFile:
             except ValueError as error:
                 raise CloudFileFault(f"{path}, line {number}: {error}") from error
             stamps.append(stamp)
-            poses.append(pose)
+            rows.append(row)
     if not stamps:
         raise CloudFileFault(f"{path}: expected lines 't x y z qx qy qz qw', found no pose")
-    table = np.array(poses)
-    return PoseFile(np.array(stamps, np.int64), table[:, :3], table[:, 3:])
+    table, when = np.array(rows), np.array(stamps, np.int64)
+    if table.shape[1] == 7:
+        return PoseFile(when, table[:, :3], table[:, 3:])
+    poses = table.reshape(-1, 3, 4)
+    check_poses(path, np.concatenate([poses, np.broadcast_to(BOTTOM, (len(poses), 1, 4))], axis=1))
+    return PoseFile(when, poses[:, :, 3], np.array([quaternion_of(pose) for pose in poses[:, :, :3].tolist()]))
 
 
-def _pose(words: Sequence[str]) -> tuple[int, list[float]]:
-    """Return the stamp in nanoseconds, and position and rotation of a line. Raises ValueError."""
-    if len(words) != 8:
-        remedy = "; KITTI's poses have no stamps: kiss_icp_pipeline writes NAME_tum.txt too" if len(words) == 12 else ""
-        raise ValueError(f"expected 8 numbers, t x y z qx qy qz qw, found {len(words)}{remedy}")
+def _row(words: Sequence[str], number: int) -> tuple[int, list[float]]:
+    """Return the stamp in nanoseconds and the numbers of a pose, of which `number` came before. Raises ValueError."""
+    expected = "expected 8 numbers, t x y z qx qy qz qw, or the 12 of a 3x4 matrix, found"
+    if len(words) not in {8, 12}:
+        raise ValueError(f"{expected} {len(words)}")
     try:
+        values = [float(word) for word in words]
         seconds = Decimal(words[0])
-        values = [float(word) for word in words[1:]]
     except (InvalidOperation, ValueError):
-        raise ValueError(f"expected 8 numbers, t x y z qx qy qz qw, found {' '.join(words)[:60]!r}") from None
+        raise ValueError(f"{expected} {' '.join(words)[:60]!r}") from None
+    if len(values) == 12:
+        return number * SECOND_NS, values
     if not seconds.is_finite() or not 0 <= seconds < MAX_STAMP_S:
         raise ValueError(f"expected t in seconds, 0 to 2^32, found {words[0][:30]}")
-    norm = float(np.sqrt(np.sum(np.square(values[3:]))))
+    x, y, z, w = values[4:]
+    norm = float(np.sqrt(np.sum(np.square([x, y, z, w]))))
     if not np.isfinite(values).all() or abs(norm - 1) > UNIT_TOLERANCE:
         raise ValueError(f"expected finite numbers and a quaternion of norm 1, found norm {norm:.6g}")
-    x, y, z, w = values[3:]
-    return round(seconds * SECOND_NS), [*values[:3], *(normalised((x, y, z, w)) or ())]
+    return round(seconds * SECOND_NS), [*values[1:4], *(normalised((x, y, z, w)) or ())]
 
 
 def poses_of_clouds(
@@ -129,17 +143,19 @@ def poses_of_clouds(
 ) -> list[StampedPose | None]:
     """Return the pose of each of `count` clouds by its stamp, None where the file has none.
 
-    Without `stamps`, or if no pose is of their time, as many poses as clouds belong to them in turn. CloudFileFault if
-    neither holds.
+    Without `stamps`, or if poses are just numbered or none is of their time, as many poses as clouds belong to them in
+    turn. CloudFileFault if neither holds.
     """
     trajectory = read_trajectory(file)
-    if stamps is not None:
+    numbered = np.array_equal(trajectory.stamps, np.arange(count) * SECOND_NS)
+    if stamps is not None and not numbered:
         poses = [trajectory.at(stamp) for stamp in stamps]
         if any(pose is not None for pose in poses):
             return poses
     if len(trajectory.stamps) == count:
-        why = "have no stamps in their names" if stamps is None else f"were recorded at other times than {file.name}"
-        note(f"{folder}: the clouds {why}; each has the pose of the same number")
+        why = f"the poses in {file.name} have no stamps of these clouds"
+        why = "the clouds have no stamps in their names" if stamps is None else why
+        note(f"{folder}: {why}; each cloud has the pose of the same number")
         own = trajectory.stamps.tolist() if stamps is None else stamps
         return [StampedPose(*pose) for pose in zip(own, trajectory.positions, trajectory.rotations, strict=True)]
     first, last = (f"{stamp / SECOND_NS:.3f}" for stamp in (trajectory.stamps[0], trajectory.stamps[-1]))
