@@ -21,6 +21,8 @@ TYPES = {
     "cloud": "sensor_msgs/msg/PointCloud2",
     "odometry": "nav_msgs/msg/Odometry",
     "tf": "tf2_msgs/msg/TFMessage",
+    "livox": "livox_ros_driver2/msg/CustomMsg",
+    "pose_stamped": "geometry_msgs/msg/PoseStamped",
 }
 
 
@@ -104,7 +106,19 @@ def wire(one: Said, *, ros1: bool = False) -> bytes:
         out.data += rows.tobytes()
         out.put("B", 1)
         return out.done()
-    out.text(content["child"])
+    if one.kind == "livox":
+        rows = content["rows"]
+        out.put("Q", content["stamp_ns"])
+        out.put("I", len(rows))
+        out.put("B", 1, 0, 0, 0)
+        out.put("I", len(rows))
+        for x, y, z, time in rows.tolist():
+            out.put("I", round(time * 1e9))
+            out.put("f", x, y, z)
+            out.put("B", 9, 16, 3)
+        return out.done()
+    if one.kind != "pose_stamped":
+        out.text(content["child"])
     out.put("d", *content["position"], 0.0, 0.0, 0.0, 1.0)
     if one.kind == "odometry":
         out.put("d", *[0.0] * (36 + 6 + 36))
