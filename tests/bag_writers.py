@@ -21,6 +21,8 @@ TYPES = {
     "cloud": "sensor_msgs/msg/PointCloud2",
     "odometry": "nav_msgs/msg/Odometry",
     "tf": "tf2_msgs/msg/TFMessage",
+    "livox": "livox_ros_driver2/msg/CustomMsg",
+    "pose_stamped": "geometry_msgs/msg/PoseStamped",
 }
 
 
@@ -104,7 +106,19 @@ def wire(one: Said, *, ros1: bool = False) -> bytes:
         out.data += rows.tobytes()
         out.put("B", 1)
         return out.done()
-    out.text(content["child"])
+    if one.kind == "livox":
+        rows = content["rows"]
+        out.put("Q", content["stamp_ns"])
+        out.put("I", len(rows))
+        out.put("B", 1, 0, 0, 0)
+        out.put("I", len(rows))
+        for x, y, z, time in rows.tolist():
+            out.put("I", round(time * 1e9))
+            out.put("f", x, y, z)
+            out.put("B", 9, 16, 3)
+        return out.done()
+    if one.kind != "pose_stamped":
+        out.text(content["child"])
     out.put("d", *content["position"], 0.0, 0.0, 0.0, 1.0)
     if one.kind == "odometry":
         out.put("d", *[0.0] * (36 + 6 + 36))
@@ -221,10 +235,11 @@ HEADER = (
 POSE = "float64 x\nfloat64 y\nfloat64 z\nfloat64 qx\nfloat64 qy\nfloat64 qz\nfloat64 qw\n"
 DEFINITIONS = {
     "cloud": (
-        "std_msgs/Header header\nuint32 height\nuint32 width\nF[] fields\nbool is_bigendian\nuint32 point_step\n"
-        "uint32 row_step\nuint8[] data\nbool is_dense\n"
+        "std_msgs/Header header\nuint32 height\nuint32 width\nPointField[] fields\nbool is_bigendian\n"
+        "uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n"
         f"{HEADER}================================================================================\n"
-        "MSG: sensor_msgs/F\nstring name\nuint32 offset\nuint8 datatype\nuint32 count\n"
+        "MSG: sensor_msgs/PointField\nuint8 INT8=1\nuint8 UINT8=2\nuint8 INT16=3\nuint8 UINT16=4\nuint8 INT32=5\n"
+        "uint8 UINT32=6\nuint8 FLOAT32=7\nuint8 FLOAT64=8\nstring name\nuint32 offset\nuint8 datatype\nuint32 count\n"
     ),
     "odometry": f"std_msgs/Header header\nstring child\n{POSE}float64[78] rest\n{HEADER}",
     "tf": (

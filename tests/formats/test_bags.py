@@ -26,7 +26,7 @@ from bag_writers import (
 )
 from google.protobuf.json_format import MessageToDict
 
-from roughmap_schemas import SensorConfig, decode_odometry, decode_transform
+from roughmap_schemas import SensorConfig, decode_cloud, decode_odometry, decode_transform
 from roughmap_schemas.kinds import Kind, RobotMessage
 from roughmap_schemas.ros2_sections import Ros2RobotConfig
 from roughmap_service.formats.clouds import read_cloud
@@ -146,10 +146,14 @@ def test_odometry_without_a_map_is_mapped_in_its_own_frame(tmp_path: Path) -> No
 
 def test_a_bag_without_poses_says_how_kiss_icp_makes_them(tmp_path: Path) -> None:
     said = [one for one in drive() if one.kind != "odometry"]
-    text = fault(KINDS["sqlite"](tmp_path, said))
+    text = fault(KINDS["mcap folder"](tmp_path, said))
     assert "no odometry" in text
-    assert f"kiss_icp_pipeline --dataloader rosbag --topic /velodyne_points {tmp_path / 'bag'}" in text
-    assert "--poses results/latest/bag_poses_tum.txt" in text
+    assert f"kiss_icp_pipeline --dataloader rosbag --topic /velodyne_points {tmp_path / 'bag'}, then" in text
+    assert text.endswith("--poses results/latest/bag_poses_tum.txt")
+    (tmp_path / "old").mkdir()
+    text = fault(KINDS["sqlite"](tmp_path / "old", said))  # of Humble: without definitions
+    assert f"rosbags-convert --src {tmp_path / 'old/bag'} --dst {tmp_path / 'old/bag_typed'}" in text
+    assert text.endswith("--poses results/latest/bag_typed_poses_tum.txt")
 
 
 def test_several_topics_of_clouds_are_listed_with_the_option_that_chooses(tmp_path: Path) -> None:
@@ -235,6 +239,32 @@ def test_a_reader_left_early_closes_its_files(tmp_path: Path) -> None:
         parts = read_cloud(write(tmp_path / kind, drive()))
         assert len(list(islice(parts, 5))) == 5
         parts.close()  # type: ignore[attr-defined]  # a generator; a file left open would be a warning, so an error
+
+
+def test_livox_messages_are_read_from_both_kinds_of_bags(tmp_path: Path) -> None:
+    said = [one for one in drive() if one.kind != "cloud"]
+    for k in range(5):
+        rows = np.abs(cloud(0.1 * k)["rows"])
+        rows[:, 3] = np.linspace(0, 0.09, len(rows))
+        content = {"stamp_ns": T0 + k * 10**8, "frame": "velodyne", "rows": rows}
+        said.append(Said("/livox/lidar", "livox", said[-1].log_ns + 1, content))
+    new, old = read(KINDS["sqlite"](tmp_path, said))[1], read(KINDS["ros 1"](tmp_path, said))[1]
+    assert new == old
+    clouds = [decode_cloud(m.payload, max_message=1 << 20, max_points=1000) for m in new if m.kind is Kind.POINTS]
+    assert [np.array_equal(c.points, one.content["rows"][:, :3]) for c, one in zip(clouds, said[-5:], strict=True)] == [
+        True
+    ] * 5
+
+
+def test_a_goal_is_no_pose_of_the_robot(tmp_path: Path) -> None:
+    said = [one for one in drive() if one.kind != "odometry"]
+    said += (Said("/goal_pose", "pose_stamped", T0 + k * 10**8 + 5, pose(0.1 * k)) for k in range(30))
+    said.sort(key=lambda one: one.log_ns)
+    assert "no odometry" in fault(KINDS["sqlite"](tmp_path, said))
+    (tmp_path / "other").mkdir()
+    said = [one._replace(topic="/slam/pose") if one.topic == "/goal_pose" else one for one in said]
+    messages = read(KINDS["sqlite"](tmp_path / "other", said))[1]
+    assert Counter(one.kind for one in messages)[Kind.ODOMETRY] == 30
 
 
 def trajectory(path: Path, stamps_ns: Sequence[int]) -> Path:

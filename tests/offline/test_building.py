@@ -207,6 +207,13 @@ def _moved(one: Said, ns: int) -> Said:
     return one._replace(log_ns=one.log_ns + ns, content=content)
 
 
+def test_a_recorded_time_that_goes_back_ends_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = drive()
+    # Of a bag that says it began later than its first messages.
+    bag = write_sqlite(tmp_path / "bag", [*said[5:], *said[:5]])
+    assert build(capsys, bag, "--range-sigma", "0.03")[1]["clouds"] == {"integrated": 30}
+
+
 def test_nothing_is_written_if_a_bag_is_damaged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = write_ros1(tmp_path / "a.bag", drive())
     with closing(bag.open("r+b")) as file:

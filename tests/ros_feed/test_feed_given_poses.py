@@ -128,11 +128,18 @@ def test_a_static_place_of_the_odometrys_frame_holds_at_all_times() -> None:
     assert read(one.take("/odom", odometry(T0 + S, "odom", "base_link", POSE), T0)).order == "o"
 
 
-def test_odometry_in_a_frame_that_is_nowhere_goes_on_and_the_gap_is_named() -> None:
+def test_the_first_odometry_waits_for_its_frames_place() -> None:
+    one = feed(odometry="/odom")
+    assert one.take("/odom", odometry(T0, "odom", "base_link", POSE), T0) == []
+    assert read(one.take("/tf", tf(transform("map", "odom", T0 + 3)), T0 + 3)).order == "to"
+
+
+def test_odometry_in_a_frame_that_is_nowhere_goes_on_after_1_s_and_the_gap_is_named() -> None:
     one = feed(odometry="/odom")
     for ms in range(0, 1000, 20):
         one.take("/tf", tf(transform("odom", "base_link", T0 + ms * MS)), T0 + ms * MS)
-    assert read(one.take("/odom", odometry(T0, "odom", "base_link", POSE), T0 + S)).order == "o"
+    given = [one.take("/odom", odometry(T0 + i * S // 2, "odom", "base_link", POSE), T0 + S) for i in range(4)]
+    assert [read(messages).order for messages in given] == ["", "", "ooo", "o"]
     assert "map -> odom never came; /tf has odom -> base_link at 50 Hz" in one.problems(T0 + S)
     assert one.position is None
 
@@ -142,3 +149,16 @@ def test_a_robot_that_stands_gets_a_pose_at_each_cloud_from_static_transforms() 
     one.take("/tf_static", tf(transform("map", "base_link", 0, [1, 2, 3, 0, 0, 0])), T0)
     got = read(one.take("/points", cloud(T0 + 7, "lidar"), T0 + 7))
     assert (got.order, got.poses[0].stamp_ns, got.poses[0].position) == ("op", T0 + 7, (1.0, 2.0, 3.0))
+
+
+def test_odometry_goes_on_when_the_clock_was_set_back() -> None:
+    one = feed(odometry="/odom")
+    for start in (T0 + 100 * S, T0):
+        order = ""
+        for i in range(20):
+            at = start + i * 100 * MS
+            if i % 10 == 0:
+                one.take("/tf", tf(transform("map", "odom", at)), at)
+            one.take("/tf", tf(transform("base_link", "arm", at)), at)
+            order += read(one.take("/odom", odometry(at, "odom", "base_link", POSE), at)).order
+        assert order.endswith("o" * 20)

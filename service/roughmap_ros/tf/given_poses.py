@@ -13,7 +13,7 @@ from roughmap_ros.tf.tree import Tree
 from roughmap_schemas.geometry import SECOND_NS
 
 WAIT_NS: Final = SECOND_NS
-"""How far stamps go on while the first poses wait for the transform of their body: static transforms come at once."""
+"""How far stamps go on while the first poses wait for the transforms of their body and frame."""
 
 MAX_WAITING: Final = 1_000
 """Poses that wait: those of WAIT_NS at 1,000 Hz."""
@@ -73,11 +73,12 @@ class GivenPoses:
         waiting, ready = self._waiting, []
         while waiting:
             based = self._based(waiting[0])
-            if based is None:
+            if based is None or not self._is_placed():
                 patient = wait and not self._gave_up and len(waiting) < MAX_WAITING
                 if patient and 0 <= waiting[-1].stamp_ns - waiting[0].stamp_ns < WAIT_NS:
                     break
                 self._gave_up = True
+            if based is None:
                 self.unknown_body = waiting[0].body
                 based = replace(waiting[0], body=self.base)
             waiting.popleft()
@@ -106,6 +107,10 @@ class GivenPoses:
             return given.pose
         place = self.tree.find(self.map_frame, given.frame, given.stamp_ns) if given.frame else None
         return None if place is None else compose(place, given.pose)
+
+    def _is_placed(self) -> bool:
+        known = self.to_map is None or self._said is not None
+        return known or self.tree.chain(self.map_frame, self.frame) is not None
 
     def _based(self, given: GivenPose) -> GivenPose | None:
         if given.body in ("", self.base):

@@ -1,10 +1,11 @@
 """Files of rosbag2 (folders, .mcap, .db3; zstd too) and of ROS 1 (.bag): their topics, and their messages as CDR."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
 
@@ -32,6 +33,10 @@ TYPES: dict[str, tuple[str, Role]] = {
 """By type in the bag: the ROS 2 type of the same layout, and what such a topic may be."""
 
 
+MAX_CHUNK = 1 << 30
+"""Most bytes of an MCAP file's chunk, unpacked: one is in memory at a time, and those that overlap it."""
+
+
 class Bag:
     """An open bag. `topics` are those of the types that roughmap reads; `start_ns` and `end_ns` span all messages."""
 
@@ -49,6 +54,8 @@ class Bag:
             self._readers.setdefault(name, []).append(connection)
             before = counts[name].messages if name in counts else 0
             counts[name] = Topic(name, role, before + connection.msgcount)
+        formats = {one.msgdef.format for one in reader.connections}
+        self.typed = MessageDefinitionFormat.NONE not in formats
         self.topics = sorted(counts.values())
         self.start_ns, self.end_ns = (reader.start_time, reader.end_time) if reader.message_count else (0, 0)
 
@@ -99,7 +106,8 @@ def open_bag(path: Path) -> Iterator[Bag]:
         reader = Reader1(path) if path.suffix.lower() == ".bag" and path.is_file() else Reader2(path)
         reader.open()
         bag = Bag(path, reader)
-    except PermissionError:
+        check_chunks(path, _chunk_sizes(reader))
+    except (PermissionError, CloudFileFault):
         raise
     except Exception as error:  # rosbags and what unpacks raise almost anything for bad bytes
         raise fault(path, error) from error
@@ -107,6 +115,19 @@ def open_bag(path: Path) -> Iterator[Bag]:
         yield bag
     finally:
         reader.close()
+
+
+def _chunk_sizes(reader: Reader1 | Reader2) -> list[int]:
+    storage = getattr(reader, "storage", None)
+    files = getattr(storage, "storages", [storage])
+    return [chunk.uncompressed_size for file in files for chunk in getattr(file, "chunks", ())]
+
+
+def check_chunks(path: Path, sizes: Sequence[int]) -> None:
+    """Raise CloudFileFault if one of an MCAP file's chunks of these sizes, in bytes, is too large to unpack."""
+    largest = max(sizes, default=0)
+    if largest > MAX_CHUNK:
+        raise CloudFileFault(f"{path}: expected chunks of at most {MAX_CHUNK} bytes, found one of {largest}")
 
 
 def fault(path: Path, error: Exception, where: str = "") -> CloudFileFault:

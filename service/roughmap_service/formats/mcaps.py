@@ -13,22 +13,19 @@ from mcap.reader import SeekingReader
 from roughmap_ros.messages import TYPES as STORE
 from roughmap_ros.messages import BadRosMessage
 from roughmap_ros.messages.cdr import CdrReader
-from roughmap_service.formats.bag_files import TYPES, fault
+from roughmap_service.formats.bag_files import TYPES, check_chunks, fault
 from roughmap_service.formats.bags import read_bag
 from roughmap_service.formats.foxglove import ROLES, to_cdr
 from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.own_logs import is_own_log, read_own_log
 from roughmap_service.formats.posed_clouds import messages_of
-from roughmap_service.formats.recorded import CloudFileFault, Recorded
+from roughmap_service.formats.recorded import Recorded
 from roughmap_service.formats.robot_messages import Raw
 from roughmap_service.formats.topics import Role, Topic
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Schema
     from mcap.summary import Summary
-
-MAX_CHUNK = 1 << 30
-"""Most bytes of a chunk, unpacked. One is in memory at a time, and those that overlap it."""
 
 
 def read_mcap(path: Path, options: ReadOptions) -> Iterator[Recorded]:
@@ -42,9 +39,7 @@ def read_mcap(path: Path, options: ReadOptions) -> Iterator[Recorded]:
             raise fault(path, error) from error
         if summary is None or summary.statistics is None:
             raise fault(path, ValueError(f"no index at its end; `mcap recover {path} -o mended.mcap` makes one"))
-        largest = max((one.uncompressed_size for one in summary.chunk_indexes), default=0)
-        if largest > MAX_CHUNK:
-            raise CloudFileFault(f"{path}: expected chunks of at most {MAX_CHUNK} bytes, found one of {largest}")
+        check_chunks(path, [one.uncompressed_size for one in summary.chunk_indexes])
         if own:
             yield from read_own_log(path, reader, summary, options)
         elif profile == "ros2":
@@ -58,6 +53,7 @@ class McapFile:
 
     def __init__(self, path: Path, stream: BinaryIO, summary: "Summary") -> None:
         self.path = path
+        self.typed = True
         self._stream = stream
         self._known: dict[str, Topic] = {}
         statistics = summary.statistics

@@ -48,12 +48,16 @@ class Raw(NamedTuple):
 
 
 class Source(Protocol):
-    """An open recording. `topics` are those of the types that roughmap reads; all its messages are in [start, end]."""
+    """An open recording. `topics` are those of the types that roughmap reads; all its messages are in [start, end].
+
+    ``typed``: it holds the definitions of their types.
+    """
 
     path: Path
     topics: list[Topic]
     start_ns: int
     end_ns: int
+    typed: bool
 
     def messages(self, topics: Collection[str], until_ns: int | None = None) -> Iterator[Raw]:
         """Return the messages of some topics in the order in which they were recorded. Raises CloudFileFault."""
@@ -148,7 +152,7 @@ def _base(source: Source, links: Links, frames: dict[Topic, str], poses: Topic |
     if poses is None:
         base = base_frame(links, frames[clouds[0]])
         if base is None:
-            raise no_poses(source.path, clouds, frames[clouds[0]])
+            raise no_poses(source.path, clouds[0], frames[clouds[0]], typed=source.typed)
         return base
     first = _first_pose(source, poses)
     if first is not None and first.body_frame_id:

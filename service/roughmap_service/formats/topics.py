@@ -125,11 +125,17 @@ def base_frame(links: Links, frame: str) -> str | None:
     return named or next((name for name in above if name in links.moving), None)
 
 
-def no_poses(path: Path, clouds: Sequence[Topic], frame: str) -> CloudFileFault:
-    """Return the fault of a recording without poses: how kiss-icp makes them, and how they are given."""
-    name, topic = path.name.split(".")[0], clouds[0].name
+def no_poses(path: Path, cloud: Topic, frame: str, *, typed: bool) -> CloudFileFault:
+    """Return the fault of a recording without poses: how kiss-icp makes them, and how they are given.
+
+    kiss-icp reads only bags that hold the definitions of their types; older ones of rosbag2 don't (not ``typed``).
+    """
+    bag, first, topic = path, "", cloud.name
+    if not typed:
+        bag = path.with_name(f"{path.name.split('.')[0]}_typed")
+        first = f"rosbags-convert --src {path} --dst {bag} --src-typestore ros2_humble && "
     return CloudFileFault(
         f"{path}: no odometry in it, and no tf from a map to {frame!r}; let kiss-icp find the trajectory: "
-        f"pip install kiss-icp 'rosbags<0.12' && kiss_icp_pipeline --dataloader rosbag --topic {topic} {path}, "
-        f"then give it by --poses results/latest/{name}_poses_tum.txt"
+        f"pip install kiss-icp 'rosbags<0.12' && {first}kiss_icp_pipeline --dataloader rosbag --topic {topic} {bag}, "
+        f"then give it by --poses results/latest/{bag.name.split('.')[0]}_poses_tum.txt"
     )

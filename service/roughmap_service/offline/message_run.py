@@ -50,7 +50,8 @@ class MessageRun:
         self._range_sigma = range_sigma
         self._begun = False
         self._run = Run(Settings(config), rough_map)
-        self._first_ns: int | None = None
+        self._first = False
+        self._begun_ns: int | None = None
         self._last_ns = 0
         self._now = 0.0
 
@@ -62,19 +63,20 @@ class MessageRun:
                 raise CloudFileFault(f"{name}: its poses are in {contents.map_frame!r}, those before in {frame!r}")
             own = self.config.map.model_copy(update={"frame_id": contents.map_frame})
             self._use(self.config.model_copy(update={"map": own}))
-        self._begun = True
+        self._begun = self._first = True
         for frame_id in sorted(contents.mounted):
             self._know(frame_id, by_transform=True)
 
     def take(self, message: RobotMessage) -> None:
         """Take the next message and decide the clouds that can be decided then."""
-        if message.log_ns < self._last_ns:  # another drive: nothing of the last one explains it
+        if self._first and message.log_ns < self._last_ns:  # another drive: nothing of the last one explains it
             self.end()
-            self._run, self._first_ns, self._now = Run(self._run.settings, self._map), None, 0.0
-        self._last_ns = message.log_ns
-        if self._first_ns is None:
-            self._first_ns = message.log_ns
-        self._now = (message.log_ns - self._first_ns) * 1e-9
+            self._run, self._begun_ns = Run(self._run.settings, self._map), None
+        if self._begun_ns is None:
+            self._begun_ns = self._last_ns = message.log_ns
+        self._first = False
+        self._last_ns = max(self._last_ns, message.log_ns)
+        self._now = (self._last_ns - self._begun_ns) * 1e-9
         run, payload = self._run, message.payload
         identity = Duplicates.identity(self._robot, message.kind, payload)
         try:
