@@ -58,7 +58,7 @@ def test_the_share_that_was_read_rises_to_one(sample: Sample, tmp_path: Path, mo
     shares: list[float] = []
     points_of(reader(path, replace(sample.options(path), reached=shares.append)))
     assert shares == sorted(shares)
-    assert not shares or shares[-1] == 1
+    assert shares[-1] == 1
 
 
 @ALL

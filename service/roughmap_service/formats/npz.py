@@ -30,10 +30,22 @@ MAX_UNPACKED = 16 << 30
 """Most bytes of an archive's arrays: half a billion points with covariances. All of them are in memory at once."""
 
 
-def read_npz(file: Path, _options: ReadOptions) -> Iterator[RecordedScan | PlacedPoints]:
+def read_npz(file: Path, options: ReadOptions) -> Iterator[RecordedScan | PlacedPoints]:
     """Return the scans of a file, or its points in parts. Raises CloudFileFault and OSError."""
     arrays = _load(file)
-    return _scans(file, arrays) if _is_scans(arrays) else _placed(file, arrays)
+    parts = _scans(file, arrays) if _is_scans(arrays) else _placed(file, arrays)
+    return _telling(parts, len(arrays["points"]), options)
+
+
+def _telling(
+    parts: Iterator[RecordedScan] | Iterator[PlacedPoints], count: int, options: ReadOptions
+) -> Iterator[RecordedScan | PlacedPoints]:
+    """Return the parts, and tell how many of the `count` points have been read."""
+    done = 0
+    for part in parts:
+        yield part
+        done += len(part.points)
+        options.reached(done / max(count, 1))
 
 
 def _check_size(file: Path, archive: zipfile.ZipFile) -> None:
