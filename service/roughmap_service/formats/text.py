@@ -34,13 +34,13 @@ REMARK = re.compile(r"(?:^|(?<=[\s,;]))(?:#(?!N/A)|//)")
 
 def read_text(file: Path, options: ReadOptions) -> Iterator[PlacedPoints]:
     """Return the points of a file in parts. Raises CloudFileFault and OSError."""
-    reader = _Reader()
     with file.open("rb") as raw:
         encoding = "utf-16" if raw.read(2) in {b"\xff\xfe", b"\xfe\xff"} else "utf-8"
         size = raw.seek(0, 2)
-        raw.seek(0)
+    reader = _Reader()
+    with file.open("rb") as raw, TextIOWrapper(raw, encoding, errors="replace") as stream:
         try:
-            for first, lines in _blocks(TextIOWrapper(raw, encoding, errors="replace")):
+            for first, lines in _blocks(stream):
                 points = reader.read(first, lines)
                 if len(points):
                     yield PlacedPoints(points, 0, None)
