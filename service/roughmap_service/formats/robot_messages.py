@@ -112,7 +112,7 @@ def plan_of(source: Source, options: ReadOptions) -> Plan:
     links, fixed = _links(source)
     if options.topics is not None:
         topics = options.topics
-        frames = _frames(source, topics)
+        frames = frames_of(source, topics)
         poses = next((topic for topic in source.topics if topic.name == getattr(topics, topics.source)), None)
     else:
         chosen = choose(source.path, source.topics, source.frame_of, options)
@@ -136,7 +136,7 @@ def plan_of(source: Source, options: ReadOptions) -> Plan:
     return Plan(topics, map_frame, mounted, found, fixed)
 
 
-def _frames(source: Source, topics: Ros2RobotConfig) -> dict[Topic, str]:
+def frames_of(source: Source, topics: Ros2RobotConfig) -> dict[Topic, str]:
     """Return the frames of configured topics of clouds; CloudFileFault if the recording has none of them."""
     found = {one: source.frame_of(one) for one in source.topics if one.name in {*topics.clouds, *topics.livox}}
     if not found:
