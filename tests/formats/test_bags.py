@@ -279,7 +279,7 @@ def test_a_trajectory_gives_the_poses_of_clouds(by: str, tmp_path: Path) -> None
     stamps = [one.content["stamp_ns"] for one in clouds]
     poses = trajectory(tmp_path / "traj.txt", stamps if by == "stamp" else [one.log_ns for one in clouds])
     contents, messages, _ = read(KINDS["sqlite"](tmp_path, clouds), poses=poses)
-    assert contents == Contents("map")
+    assert contents == Contents("map", placed=frozenset(("velodyne",)))
     found = [decode_odometry(m.payload, max_message=1 << 16) for m in messages if m.kind is Kind.ODOMETRY]
     assert [p.stamp_ns for p in found] == stamps
     assert [p.position[0] for p in found] == [round(0.08 * k, 4) for k in range(30)]

@@ -5,7 +5,7 @@ of the clouds' headers, or the times at which the clouds were recorded, which ki
 belong to the clouds' own stamps. So do poses without stamps, one for each cloud.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -38,10 +38,11 @@ def posed_clouds(source: Source, options: ReadOptions) -> Iterator[Contents | Ro
     """Return the clouds in order, before each the poses around it. Raises CloudFileFault and OSError."""
     assert options.poses is not None  # noqa: S101 - the caller has looked
     trajectory = read_trajectory(options.poses)
-    clouds = _clouds(source, options)
+    frames = _frames(source, options)
+    clouds = list(frames)
     numbered = _numbered(source, trajectory, clouds, options.poses)
     read = {topic.name: livox_message if topic.role == "livox" else cloud_message for topic in clouds}
-    yield Contents(options.map_frame)
+    yield Contents(options.map_frame, placed=frozenset(frames.values()))
     poses: _Poses | None = None
     span = max(source.end_ns - source.start_ns, 1)
     for number, raw in enumerate(source.messages(read)):
@@ -62,10 +63,11 @@ def posed_clouds(source: Source, options: ReadOptions) -> Iterator[Contents | Ro
         yield from poses.rest(source.end_ns)
 
 
-def _clouds(source: Source, options: ReadOptions) -> list[Topic]:
+def _frames(source: Source, options: ReadOptions) -> Mapping[Topic, str]:
+    """Return the topics of the clouds, with the frame of each."""
     if options.topics is None:
-        return list(choose(source.path, source.topics, source.frame_of, options).clouds)
-    return list(frames_of(source, options.topics))
+        return choose(source.path, source.topics, source.frame_of, options).clouds
+    return frames_of(source, options.topics)
 
 
 def _numbered(source: Source, trajectory: PoseFile, clouds: Sequence[Topic], file: Path) -> bool:
