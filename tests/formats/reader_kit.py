@@ -182,7 +182,9 @@ def points_of(parts: Iterator[object]) -> tuple[np.ndarray, list[int]]:
             if isinstance(part, PlacedPoints):
                 rows.append(len(part.points))
         elif isinstance(part, RobotMessage) and part.kind == "points":
-            points.append(decode_cloud(part.payload, max_message=1 << 30, max_points=1 << 24).points.astype(np.float64))
+            found = decode_cloud(part.payload, max_message=1 << 30, max_points=1 << 24).points
+            with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN
+                points.append(found.astype(np.float64))
     return np.concatenate(points), rows
 
 

@@ -146,6 +146,7 @@ def test_too_many_points_out_of_order_are_told(tmp_path: Path, monkeypatch: pyte
         (las_bytes(POINTS, form=0), "no gps_time"),
         (las_bytes(POINTS), "the same gps_time"),
         (las_bytes(POINTS, times=np.array([1.0, 2.0, 3e8])), "seconds of the GPS week"),
+        (las_bytes(POINTS, times=np.array([1.0, 2.0, 1e300])), "found 1 .. 1e[+]300;"),
         (las_bytes(POINTS, times=np.array([1.0, np.nan, 3.0])), "seconds of the GPS week"),
         (las_bytes(POINTS, times=np.array([1.0, 2.0, 1e12]), encoding=1), "adjusted standard GPS time"),
         (las_bytes(POINTS, records=(las_record(b"LASF_Projection", 2112, FEET.encode()),), encoding=16), "in feet"),

@@ -63,8 +63,11 @@ def build(
     bags of ROS           rosbag2 folders, .mcap, .db3, and .bag of ROS 1: clouds, odometry
                           and tf are found by their types, and mapped as a service would
     .mcap                 also of Foxglove's messages, and roughmap's own logs
-    .las .laz .ply .pcd   points in the map frame; LAS by time as scans: --scan-seconds
-    folders of scans      of KITTI, or of .ply .pcd .npz .xyz files with --poses FILE
+    .las .laz             surveyed points in the map frame, or by gps_time with --scan-seconds;
+                          noise and withheld points are left out
+    .ply .pcd             points in the map frame; a PCD's VIEWPOINT is the pose of a scan
+    folders of scans      of KITTI (velodyne, poses.txt, calib.txt), or of .ply, .pcd, .npz
+                          and .xyz files with --poses; a name that is a stamp finds the pose
     .xyz .csv .txt .asc   points in the map frame, one per line, in metres: the columns
                           that a header names (x, y, z or Easting, Northing, Elevation),
                           or the first three

@@ -13,6 +13,9 @@ from roughmap_service.formats.recorded import PART_ROWS, CloudFileFault, Floats
 PART_BYTES = 64 << 20
 """Most bytes of rows that are in memory at once."""
 
+BLOCK = 6 * PART_ROWS
+"""Bytes of text that are read at once. A line of three numbers has at least six."""
+
 MAX_LINE = 1 << 16
 """Most bytes of a line, of a header too."""
 
@@ -69,25 +72,32 @@ def text_rows(
     file: Path, stream: BinaryIO, wanted: tuple[int, int, int], width: int, count: int, options: ReadOptions
 ) -> Iterator[Floats]:
     """Yield the points of `count` lines of `width` numbers that begin here; `wanted` are the columns of x, y and z."""
-    size = size_of(stream)
     done = 0
-    while done < count:
-        begin = stream.tell()
-        lines: list[bytes] = []
-        while done + len(lines) < count and len(lines) < PART_ROWS and stream.tell() - begin < PART_BYTES:
-            line = read_line(file, stream)
-            if not line and stream.tell() == size:
-                break
-            if line.strip():
-                lines.append(line)
-        if not lines:
+    for block in _line_blocks(file, stream) if count else ():
+        lines = list(filter(bytes.strip, block))[: count - done]
+        if lines:
+            yield _numbers(file, lines, wanted, width, done)
+            done += len(lines)
+            options.reached(done / count)
+        if done == count:
+            return
+    if done < count:
+        raise CloudFileFault(
+            f"{file}: expected {count} points, found {done}; the file is cut off: copy it again, or correct the count "
+            "in its header"
+        )
+
+
+def _line_blocks(file: Path, stream: BinaryIO) -> Iterator[list[bytes]]:
+    rest = b""
+    while block := stream.read(BLOCK):
+        *lines, rest = (rest + block).split(b"\n")
+        if len(rest) > MAX_LINE:
             raise CloudFileFault(
-                f"{file}: expected {count} points, found {done}; the file is cut off: copy it again, or correct the "
-                "count in its header"
+                f"{file}: expected lines of at most {MAX_LINE} bytes, found a longer one; it is damaged"
             )
-        yield _numbers(file, lines, wanted, width, done)
-        done += len(lines)
-        options.reached(done / count)
+        yield lines
+    yield [rest]
 
 
 def _numbers(file: Path, lines: list[bytes], wanted: tuple[int, int, int], width: int, done: int) -> Floats:

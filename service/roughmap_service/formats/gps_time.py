@@ -42,7 +42,7 @@ def stamps_of(file: Path, times: Floats, *, adjusted: bool) -> npt.NDArray[np.in
     if not (first <= least and most < last):
         kind = "adjusted standard GPS time" if adjusted else f"seconds of the GPS week, 0 to {WEEK_S}"
         raise CloudFileFault(
-            f"{file}: expected gps_time as {kind} (the header says so), found {least:.6f} .. {most:.6f}; correct the "
+            f"{file}: expected gps_time as {kind} (the header says so), found {least:.15g} .. {most:.15g}; correct the "
             "header's global encoding, or leave out --scan-seconds"
         )
     whole = np.floor(times)

@@ -28,10 +28,10 @@ from roughmap_service.formats.laz_chunks import check_chunks
 from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.recorded import PART_ROWS, CloudFileFault, Floats, PlacedPoints
 
-HELD_ROWS = 4_000_000
-"""Most points out of order that are in memory at once: 128 MB."""
+HELD_ROWS = 2_000_000
+"""Most points out of order that are in memory at once: 64 MB, and three times that while they are sorted."""
 
-MOST_READINGS = 50
+MOST_READINGS = 100
 """Most times that a file is read to sort its points."""
 
 MOST_SCANS = 1 << 20

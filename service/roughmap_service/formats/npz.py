@@ -80,7 +80,8 @@ def _is_scans(arrays: Arrays) -> bool:
 
 def _metres(points: npt.NDArray[np.generic]) -> Floats:
     """Return float64 metres; integers are millimetres."""
-    metres = points.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN
+        metres = points.astype(np.float64)
     return metres / 1000.0 if points.dtype.kind in "iu" else metres
 
 
