@@ -94,15 +94,16 @@ def wire(one: Said, *, ros1: bool = False) -> bytes:
         out.put("I", 1)
     out.header(content)
     if one.kind == "cloud":
-        rows = content["rows"]
-        out.put("I", 1, len(rows), 4)
-        for k, name in enumerate(("x", "y", "z", "time")):
-            out.text(name)
-            out.put("I", 4 * k)
-            out.put("B", 7)
+        rows, size = content["rows"], content["rows"].itemsize
+        step = size * rows.shape[1]
+        out.put("I", 1, len(rows), rows.shape[1])
+        for k in range(rows.shape[1]):
+            out.text(("x", "y", "z", "time")[k])
+            out.put("I", size * k)
+            out.put("B", {4: 7, 8: 8}[size])
             out.put("I", 1)
         out.put("B", 0)
-        out.put("I", 16, 16 * len(rows), 16 * len(rows))
+        out.put("I", step, step * len(rows), step * len(rows))
         out.data += rows.tobytes()
         out.put("B", 1)
         return out.done()
@@ -119,7 +120,7 @@ def wire(one: Said, *, ros1: bool = False) -> bytes:
         return out.done()
     if one.kind != "pose_stamped":
         out.text(content["child"])
-    out.put("d", *content["position"], 0.0, 0.0, 0.0, 1.0)
+    out.put("d", *content["position"], *content.get("rotation", (0.0, 0.0, 0.0, 1.0)))
     if one.kind == "odometry":
         out.put("d", *[0.0] * (36 + 6 + 36))
     return out.done()

@@ -149,11 +149,11 @@ def test_a_bag_without_poses_says_how_kiss_icp_makes_them(tmp_path: Path) -> Non
     text = fault(KINDS["mcap folder"](tmp_path, said))
     assert "no odometry" in text
     assert f"kiss_icp_pipeline --dataloader rosbag --topic /velodyne_points {tmp_path / 'bag'}, then" in text
-    assert text.endswith("--poses results/latest/bag_poses_tum.txt")
+    assert text.endswith("--poses results/latest/bag_poses_kitti.txt")
     (tmp_path / "old").mkdir()
     text = fault(KINDS["sqlite"](tmp_path / "old", said))  # of Humble: without definitions
     assert f"rosbags-convert --src {tmp_path / 'old/bag'} --dst {tmp_path / 'old/bag_typed'}" in text
-    assert text.endswith("--poses results/latest/bag_typed_poses_tum.txt")
+    assert text.endswith("--poses results/latest/bag_typed_poses_kitti.txt")
 
 
 def test_several_topics_of_clouds_are_listed_with_the_option_that_chooses(tmp_path: Path) -> None:
@@ -279,7 +279,21 @@ def test_a_trajectory_gives_the_poses_of_clouds(by: str, tmp_path: Path) -> None
     stamps = [one.content["stamp_ns"] for one in clouds]
     poses = trajectory(tmp_path / "traj.txt", stamps if by == "stamp" else [one.log_ns for one in clouds])
     contents, messages, _ = read(KINDS["sqlite"](tmp_path, clouds), poses=poses)
-    assert contents == Contents("map")
+    assert contents == Contents("map", placed=frozenset(("velodyne",)))
     found = [decode_odometry(m.payload, max_message=1 << 16) for m in messages if m.kind is Kind.ODOMETRY]
     assert [p.stamp_ns for p in found] == stamps
     assert [p.position[0] for p in found] == [round(0.08 * k, 4) for k in range(30)]
+
+
+def test_numbered_poses_belong_to_the_clouds_in_turn(tmp_path: Path) -> None:
+    clouds = [one for one in drive() if one.kind == "cloud"]
+    lines = [f"1 0 0 {0.08 * k!r} 0 1 0 0 0 0 1 1" for k in range(30)]
+    (tmp_path / "kitti.txt").write_text("\n".join(lines))
+    bag = KINDS["ros 1"](tmp_path, clouds)
+    messages = read(bag, poses=tmp_path / "kitti.txt")[1]
+    found = [decode_odometry(m.payload, max_message=1 << 16) for m in messages if m.kind is Kind.ODOMETRY]
+    assert [p.stamp_ns for p in found] == [one.content["stamp_ns"] for one in clouds]
+    assert [p.position[0] for p in found] == [0.08 * k for k in range(30)]
+    (tmp_path / "kitti.txt").write_text("\n".join(lines[1:]))
+    with pytest.raises(CloudFileFault, match="29 poses without stamps for the 30 clouds"):
+        read(bag, poses=tmp_path / "kitti.txt")

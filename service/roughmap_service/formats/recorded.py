@@ -43,12 +43,13 @@ class PlacedPoints(NamedTuple):
 class Contents(NamedTuple):
     """What comes before the messages of a recording: the frame of the map that its poses lead to.
 
-    The transforms among its messages give the extrinsics of the sensors with the frames `mounted`; other sensors are at
-    the pose itself, unless they are configured.
+    The transforms among its messages give the extrinsics of the sensors with the frames `mounted`; those with the
+    frames `placed` are at the pose itself, unless they are configured.
     """
 
     map_frame: str
     mounted: frozenset[str] = frozenset()
+    placed: frozenset[str] = frozenset()
 
 
 Recorded = RecordedScan | PlacedPoints | Contents | RobotMessage

@@ -68,15 +68,16 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Plan:
-    """What is read of a recording: the topics of the robot, the frame of its map, and the sensors mounted by tf.
+    """What is read of a recording: the topics of the robot, the frame of its map, and its sensors as in `Contents`.
 
-    `found` are those of them that tf has; the others may be known from a recording before. `fixed` are the first static
+    `found` are those mounted that tf has; the others may be known from a recording before. `fixed` are the first static
     transforms of each frame.
     """
 
     topics: Ros2RobotConfig
     map_frame: str
     mounted: frozenset[str]
+    placed: frozenset[str]
     found: frozenset[str]
     fixed: list[Transform]
 
@@ -84,7 +85,7 @@ class Plan:
 def robot_messages(source: Source, options: ReadOptions) -> Iterator[Contents | RobotMessage]:
     """Return what the messages hold, then the messages. Raises CloudFileFault."""
     plan = plan_of(source, options)
-    yield Contents(plan.map_frame, plan.mounted)
+    yield Contents(plan.map_frame, plan.mounted, plan.placed)
     feed = RobotFeed(plan.topics, plan.map_frame, plan.found)
     if plan.fixed and plan.topics.tf_static:
         yield from feed.take(plan.topics.tf_static, tf_cdr(plan.fixed), source.start_ns)
@@ -112,7 +113,7 @@ def plan_of(source: Source, options: ReadOptions) -> Plan:
     links, fixed = _links(source)
     if options.topics is not None:
         topics = options.topics
-        frames = _frames(source, topics)
+        frames = frames_of(source, topics)
         poses = next((topic for topic in source.topics if topic.name == getattr(topics, topics.source)), None)
     else:
         chosen = choose(source.path, source.topics, source.frame_of, options)
@@ -133,10 +134,11 @@ def plan_of(source: Source, options: ReadOptions) -> Plan:
         if frame != topics.base and (frame not in options.sensors or options.sensors[frame].extrinsics == "transform")
     )
     found = frozenset(frame for frame in mounted if topics.base in links.up(frame))
-    return Plan(topics, map_frame, mounted, found, fixed)
+    placed = frozenset(frame for frame in frames.values() if frame == topics.base)
+    return Plan(topics, map_frame, mounted, placed, found, fixed)
 
 
-def _frames(source: Source, topics: Ros2RobotConfig) -> dict[Topic, str]:
+def frames_of(source: Source, topics: Ros2RobotConfig) -> dict[Topic, str]:
     """Return the frames of configured topics of clouds; CloudFileFault if the recording has none of them."""
     found = {one: source.frame_of(one) for one in source.topics if one.name in {*topics.clouds, *topics.livox}}
     if not found:

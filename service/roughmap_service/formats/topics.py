@@ -137,5 +137,5 @@ def no_poses(path: Path, cloud: Topic, frame: str, *, typed: bool) -> CloudFileF
     return CloudFileFault(
         f"{path}: no odometry in it, and no tf from a map to {frame!r}; let kiss-icp find the trajectory: "
         f"pip install kiss-icp 'rosbags<0.12' && {first}kiss_icp_pipeline --dataloader rosbag --topic {topic} {bag}, "
-        f"then give it by --poses results/latest/{bag.name.split('.')[0]}_poses_tum.txt"
+        f"then give it by --poses results/latest/{bag.name.split('.')[0]}_poses_kitti.txt"
     )

@@ -64,8 +64,8 @@ class MessageRun:
             own = self.config.map.model_copy(update={"frame_id": contents.map_frame})
             self._use(self.config.model_copy(update={"map": own}))
         self._begun = self._first = True
-        for frame_id in sorted(contents.mounted):
-            self._know(frame_id, by_transform=True)
+        for frame_id in sorted(contents.mounted | contents.placed):
+            self._know(frame_id, by_transform=frame_id in contents.mounted)
 
     def take(self, message: RobotMessage) -> None:
         """Take the next message and decide the clouds that can be decided then."""
@@ -112,9 +112,8 @@ class MessageRun:
         if content.stamp_ns == 0 and (isinstance(content, Odometry) or of_sensor):
             raise MessageFault(Refusal.UNSET_STAMP, "its stamp is 0, which means not set")
         if isinstance(content, Cloud) and of_sensor:
-            if self._run.settings.sensor(self._robot, content.frame_id) is None and self._range_sigma is None:
+            if self._run.settings.sensor(self._robot, content.frame_id) is None:
                 raise MessageFault(Refusal.UNKNOWN_SENSOR, f"[sensors.{content.frame_id}] is not configured")
-            self._know(content.frame_id, by_transform=False)
             self.sensors.add(content.frame_id)
         return content
 
