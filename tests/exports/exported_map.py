@@ -31,14 +31,14 @@ def ground(rng: np.random.Generator, east: float, north: float, width: float, he
     return np.column_stack([east + x, north + y, 120.0 + z])[keep]
 
 
-def store(folder: Path, name: str = "map.db") -> Stored:
+def store(folder: Path, crs: str | None = None) -> Stored:
     """Store a map of 20 x 18 m, on several tiles."""
     config = Config.model_validate({"map": {"name": "site", "cell_size": SIDE}})
     rng = np.random.default_rng(5)
     with new_map(config) as built:
         built.add(ground(rng, EAST, NORTH, 20.0, 18.0), np.eye(3) * 1e-4, 1_700_000_000_000_000_000)
-        path = folder / name
-        Store(path).write_map(built, config.public_dict(), configuration_digest(config), "ab12")
+        path = folder / "map.db"
+        Store(path).write_map(built, config.public_dict(), configuration_digest(config), "ab12", crs)
         return Stored(path, *layers_over(built))
 
 

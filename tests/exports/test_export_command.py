@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from click.testing import CliRunner
 from exported_map import LAYERS, Stored, store
 from live_service import live_service
@@ -110,3 +111,14 @@ def test_a_running_service_and_its_log_give_the_same_file(tmp_path: Path) -> Non
                 assert arrays.files == served.files
                 for name in arrays.files:
                     assert np.array_equal(arrays[name], served[name], equal_nan=arrays[name].dtype.kind == "f"), name
+
+
+def test_the_reference_system_of_the_recordings_comes_out_again(tmp_path: Path) -> None:
+    stored = store(tmp_path, crs="EPSG:25833")
+    with_own = tmp_path / "own.tif"
+    assert run(stored.path, "-o", with_own)[0] == 0
+    with tifffile.TiffFile(with_own) as tiff:
+        assert tiff.pages[0].geotiff_tags["ProjectedCSTypeGeoKey"] == 25833
+    assert run(stored.path, "-o", tmp_path / "other.tif", "--crs", "EPSG:32633")[0] == 0
+    with tifffile.TiffFile(tmp_path / "other.tif") as tiff:
+        assert tiff.pages[0].geotiff_tags["ProjectedCSTypeGeoKey"] == 32633

@@ -60,7 +60,7 @@ def _stored(path: Path) -> Iterator[OpenedMap]:
         places = spill.adopt(stored)
         with new_map(config, spill) as rough_map:
             set_index(rough_map, cut, stored, places)
-            yield OpenedMap(rough_map, config, None, f"{config.map.name}, sequence {cut.sequence}")
+            yield OpenedMap(rough_map, config, store.crs(), f"{config.map.name}, sequence {cut.sequence}")
 
 
 @contextmanager
