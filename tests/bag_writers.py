@@ -295,9 +295,12 @@ def foxglove(one: Said) -> Any:
     """Return a message as Foxglove's in protobuf."""
     content = one.content
     if one.kind == "cloud":
-        message: Any = PointCloud(frame_id=content["frame"], point_stride=16, data=content["rows"].tobytes())
-        for k, name in enumerate(("x", "y", "z", "time")):
-            message.fields.add(name=name, offset=4 * k, type=PackedElementField.FLOAT32)
+        rows, size = content["rows"], content["rows"].itemsize
+        kind = {4: PackedElementField.FLOAT32, 8: PackedElementField.FLOAT64}[size]
+        stride = size * rows.shape[1]
+        message: Any = PointCloud(frame_id=content["frame"], point_stride=stride, data=rows.tobytes())
+        for k in range(rows.shape[1]):
+            message.fields.add(name=("x", "y", "z", "time")[k], offset=size * k, type=kind)
     elif one.kind == "odometry":
         message = Odometry(frame_id=content["frame"], body_frame_id=content["child"])
         (message.pose.position.x, message.pose.position.y, message.pose.position.z) = content["position"]
