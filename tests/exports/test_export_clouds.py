@@ -85,3 +85,9 @@ def test_a_laz_holds_what_the_las_holds(export) -> None:
 
     las, laz = laspy.read(export("cells.las")), laspy.read(export("cells.laz"))
     assert np.array_equal(las.points.array, laz.points.array)
+
+
+def test_a_code_becomes_wkt_where_a_format_has_no_codes(export) -> None:
+    assert b"PROJCS[" in export("cells.las", "--crs", "EPSG:32633").read_bytes()
+    said = export("ground.asc", "--crs", "EPSG:32633").with_suffix(".prj").read_text()
+    assert said.startswith('PROJCS["WGS_1984_UTM_Zone_33N"')

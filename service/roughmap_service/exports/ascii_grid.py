@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from roughmap_service.exports.sheet import ExportFault, Sheet
+from roughmap_service.exports.wkt import ESRI, as_wkt
 
 NODATA = -9999.0
 
@@ -28,4 +29,4 @@ def write_ascii_grid(sheet: Sheet, file: Path) -> None:
                 raise ExportFault(f"{file}: {name} is {NODATA:g} somewhere, which stands for unknown in an ASCII grid")
             np.savetxt(text, np.where(np.isfinite(values), values, NODATA), fmt="%.9g")
     if sheet.crs is not None:
-        file.with_suffix(".prj").write_text(sheet.crs + "\n", encoding="utf-8")
+        file.with_suffix(".prj").write_text(as_wkt(sheet.crs, ESRI, "a .prj file") + "\n", encoding="utf-8")

@@ -8,6 +8,7 @@ import numpy as np
 from roughmap_service.exports.ply import check_height
 from roughmap_service.exports.points import cell_points
 from roughmap_service.exports.sheet import Sheet
+from roughmap_service.exports.wkt import LAS, as_wkt
 from roughmap_service.formats.pictures import STYLES
 
 SCALE = 0.0001
@@ -29,7 +30,7 @@ def write_las(sheet: Sheet, file: Path) -> None:
     for name in sheet.layers[1:]:
         header.add_extra_dim(laspy.ExtraBytesParams(name=name, type="f4", description=STYLES[name][1][:32]))
     if sheet.crs is not None:
-        header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(sheet.crs))
+        header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(as_wkt(sheet.crs, LAS, "a LAS file")))
         header.global_encoding.wkt = True
     with laspy.open(file, mode="w", header=header) as out:
         for points in cell_points(sheet):
