@@ -22,6 +22,9 @@ WHAT: Final = "sensor_msgs/PointCloud2"
 MAX_FIELDS: Final = 64
 """Fields of a point; drivers have up to a dozen."""
 
+MAX_STEP: Final = 65535
+"""Bytes of a point; drivers have up to a hundred."""
+
 XYZ: Final = ("x", "y", "z")
 
 DATA_TAG: Final = write_varint(DATA_FIELD << 3 | LENGTH)
@@ -116,8 +119,9 @@ def converted_payload(header: Header, fields: Sequence[PlacedField], given: npt.
                 placed[n] = PlacedField(field.name, size, FLOAT64)
                 size += FLOAT64.size
     points = np.zeros(given.shape, record(placed, "<", size))
-    for name in given.dtype.names or ():
-        points[name] = given[name]
+    with np.errstate(invalid="ignore"):  # of NaNs of any bits
+        for name in given.dtype.names or ():
+            points[name] = given[name]
     return cloud_payload(header, placed, size, points.reshape(-1).view(np.uint8).data)
 
 
@@ -151,6 +155,8 @@ def _fields(reader: CdrReader) -> list[PlacedField]:
 
 def _usable(reader: CdrReader, fields: list[PlacedField], step: int) -> list[PlacedField]:
     """Leave out fields beyond the point's end and second ones of a name; check x, y and z."""
+    if step > MAX_STEP:
+        raise reader.bad(f"expected a point_step of at most {MAX_STEP} bytes; found {step}")
     kept: dict[str, PlacedField] = {}
     for field in fields:
         if field.offset + field.number.size <= step:
