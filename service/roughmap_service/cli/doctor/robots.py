@@ -8,7 +8,7 @@ import numpy as np
 from roughmap_schemas.config import Config
 from roughmap_schemas.kinds import Kind
 from roughmap_service.cli.doctor.clocks import judge_machine_clock, judge_sensor_clock
-from roughmap_service.cli.doctor.clouds import judge_frame, judge_points
+from roughmap_service.cli.doctor.clouds import judge_frame, judge_mounting, judge_points
 from roughmap_service.cli.doctor.covariances import judge_covariances
 from roughmap_service.cli.doctor.findings import Finding, Verdict
 from roughmap_service.cli.doctor.heard import Heard, Robot, Tally, rate, times
@@ -92,16 +92,19 @@ def _sensor(
     heard = times(sensor.clouds)
     each = sum(cloud.points for cloud in sensor.clouds) / len(sensor.clouds)
     text = f"clouds at {rate(heard):.1f} Hz, {each:,.0f} points each, in {frame!r}"
-    findings = [Finding(name, "ok", text), *judge_frame(name, frame, config)]
+    lead = [one for one in robots[name].transforms if one.child == frame and one.parent != config.map.frame_id]
+    mounting = lead[-1] if lead else None
+    findings = [Finding(name, "ok", text), *judge_frame(name, frame, config, mounting)]
     if frame == config.map.frame_id:
         return findings
     names, settings = _table(name, frame, robots, config), config.sensor(name, frame)
+    findings += judge_mounting(name, frame, config, mounting)
     findings += judge_stamps(name, f"clouds in {frame!r}", heard, poses=False)
     samples = list(sensor.samples)
     found = read_times(samples, settings)
     if found is not None:
         findings += judge_times(name, frame, samples, found, settings, names)
-    findings += judge_points(name, frame, sensor, config, names)
+    findings += judge_points(name, frame, sensor, config, names, mounting)
     if settings is not None:
         findings += _beside_odometry(name, frame, heard, found, odometry, config, ended_ns, settings.time_offset, names)
     return findings
