@@ -169,14 +169,19 @@ def _meanwhile(beside: Beside) -> list[Finding]:
 def _traffic(session: "zenoh.Session", loaded: "LoadedConfig", seconds: float) -> list[Finding]:
     from roughmap_schemas.keys import Keys
     from roughmap_service.cli.doctor.robots import judge
+    from roughmap_service.cli.doctor.ros2 import Ros2Ears
     from roughmap_service.cli.doctor.traffic import Traffic
     from roughmap_service.run.settings import Settings
 
     config = loaded.config
     traffic = Traffic(Settings(config))
     wall, monotonic = time.time(), time.monotonic()
-    traffic.listen(session, Keys(config.map.name, config.keys), seconds)
-    findings = judge(traffic, config, seconds)
+    findings: list[Finding] = []
+    with ExitStack() as stack:
+        ears = stack.enter_context(Ros2Ears(session, config, traffic.put)) if config.ros2.robots else None
+        traffic.listen(session, Keys(config.map.name, config.keys), seconds)
+        findings += [] if ears is None else ears.judge()
+    findings += judge(traffic, config, seconds)
     stepped = (time.time() - wall) - (time.monotonic() - monotonic)
     if abs(stepped) > 0.1:  # slewing stays far below a millisecond a second
         text = f"this machine's clock jumped by {stepped:+.2f} s while doctor listened"
