@@ -142,6 +142,10 @@ class RosRover:
             for topic, name in TYPES.items()
         }
 
+    def hash_of(self, topic: str) -> str:
+        """Return the hash of a topic's type."""
+        return str(ROS.hash_rihs01(TYPES[topic]))
+
     def wait_for_listeners(self, *topics: str) -> None:
         """Wait until topics, or all of them, have a subscriber."""
         awaited = [self.publishers[topic] for topic in topics or self.publishers]
@@ -159,8 +163,10 @@ class RosRover:
 
 @contextmanager
 def ros_session(endpoints: list[str]) -> Iterator[zenoh.Session]:
-    """Open the session of a ROS node."""
-    with zenoh.open(peer_config(connect=endpoints, timestamping__enabled=True)) as session:
+    """Open the session of a ROS node; on a busy machine it waits instead of dropping messages."""
+    config = peer_config(connect=endpoints, timestamping__enabled=True)
+    config.insert_json5("transport/link/tx/queue/congestion_control/drop/wait_before_drop", str(10**7))  # us
+    with zenoh.open(config) as session:
         yield session
 
 
