@@ -136,8 +136,8 @@ class Bridge:
             if sentences:
                 found[f"robot {robot} ros2"] = f"robot {robot} ros2: {'; '.join(sentences)}"
         for line in self._node.mismatches():
-            topic = line.partition(":")[0]
-            found[f"ros2 {topic}"] = f"ros2 {line}"
+            subject = f"ros2 {line.partition(':')[0]}"
+            found[subject] = f"{found[subject]}; {line}" if subject in found else f"ros2 {line}"
         if self._publisher is not None:
             for name, text in self._publisher.problems().items():
                 found[f"ros2.out.{name}"] = f"ros2.out.{name}: can't be published: {text}"

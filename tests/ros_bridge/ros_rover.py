@@ -34,6 +34,8 @@ TYPES = {
 }
 SENSOR, LATCHED = Qos(reliable=False, depth=5), Qos(transient_local=True, depth=1)
 
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+
 ROBOT = {"clouds": [CLOUDS], "odometry": ODOMETRY, "base": "base"}
 """`[ros2.robots.rover1]`."""
 
@@ -114,17 +116,29 @@ def pose(given: Odometry) -> Any:
     )
 
 
-def transform(stamp_ns: int, parent: str, child: str, xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> bytes:
-    """Return a TFMessage of one transform without rotation."""
-    moved = made("geometry_msgs/msg/Vector3", x=xyz[0], y=xyz[1], z=xyz[2])
-    level = made("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
-    stamped = made(
-        "geometry_msgs/msg/TransformStamped",
-        header=header(stamp_ns, parent),
-        child_frame_id=child,
-        transform=made("geometry_msgs/msg/Transform", translation=moved, rotation=level),
+def transform(stamp_ns: int, parent: str, child: str, xyz: Any = (0.0, 0.0, 0.0), xyzw: Any = LEVEL) -> bytes:
+    """Return a TFMessage of one transform."""
+    return transforms((stamp_ns, parent, child, xyz, xyzw))
+
+
+def transforms(*given: tuple[int, str, str, Any, Any]) -> bytes:
+    """Return a TFMessage."""
+    return cdr(
+        "tf2_msgs/msg/TFMessage",
+        transforms=[
+            made(
+                "geometry_msgs/msg/TransformStamped",
+                header=header(stamp_ns, parent),
+                child_frame_id=child,
+                transform=made(
+                    "geometry_msgs/msg/Transform",
+                    translation=made("geometry_msgs/msg/Vector3", x=xyz[0], y=xyz[1], z=xyz[2]),
+                    rotation=made("geometry_msgs/msg/Quaternion", x=xyzw[0], y=xyzw[1], z=xyzw[2], w=xyzw[3]),
+                ),
+            )
+            for stamp_ns, parent, child, xyz, xyzw in given
+        ],
     )
-    return cdr("tf2_msgs/msg/TFMessage", transforms=[stamped])
 
 
 def cdr(name: str, /, **fields: Any) -> bytes:
@@ -152,13 +166,15 @@ class RosRover:
         wait_until(lambda: all(publisher.matched for publisher in awaited), "subscribers of the rover's topics")
 
     def drive(self, sent: list[Message]) -> None:
-        """Publish messages, in order."""
+        """Publish messages, in order: clouds, odometry, and its pose as the transform odom -> base."""
         for message in sent:
             if message.kind == "points":
                 self.publishers[CLOUDS].put(cloud(message.payload))
-            else:
-                self.publishers[TF].put(transform(message.stamp_ns, "map", "odom"))
-                self.publishers[ODOMETRY].put(odometry(message.payload))
+                continue
+            self.publishers[ODOMETRY].put(odometry(message.payload))
+            at = Odometry.FromString(message.payload).pose
+            p, q = at.position, at.orientation
+            self.publishers[TF].put(transform(message.stamp_ns, "odom", "base", (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)))
 
 
 @contextmanager

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from net import Gathered, wait_until
+import zenoh
+from net import WAIT_S, Gathered, peer_config, wait_until
 from processes import COMMAND, END_S, Feed, configuration, environment, running
 from ros_rover import LATCHED, ROS, RosRover, messages, ros_session, settings
 from test_ros_drive import digest_of
@@ -21,6 +22,14 @@ from roughmap_service.simulation.rover import Message
 BOX = (-6.0, -6.0, 6.0, 5.0)
 GRID = "nav_msgs/msg/OccupancyGrid"
 OUT = {"costmap": {"type": "OccupancyGrid", "box": BOX, "rate": 20.0}}
+
+
+def router_locators(session: zenoh.Session) -> list[str]:
+    """Return the endpoints of a session that is a router."""
+    for reply in session.get(f"@/{session.zid()}/router", timeout=WAIT_S):
+        if reply.ok is not None:
+            return [str(locator) for locator in json.loads(reply.ok.payload.to_bytes())["locators"]]
+    raise AssertionError("the router's admin space did not answer")
 
 
 @contextmanager
@@ -76,13 +85,13 @@ def test_the_bridge_as_a_process_gives_the_same_map_and_the_same_topics(tmp_path
     sent = messages(1.0)
     given = settings(out=OUT)
     plain = {name: value for name, value in given.items() if name != "ros2"}
-    router = {"mode": "router", "listen": ["tcp/127.0.0.1:0"]}
-    with running(tmp_path / "inside", **given, zenoh=router) as (service, feed):
+    with running(tmp_path / "inside", **given) as (service, feed):
         drive(service.ready()["endpoints"], feed, sent)
-    with running(tmp_path / "beside", **plain, zenoh=router) as (service, feed):
-        endpoints = service.ready()["endpoints"]
-        with bridge(tmp_path / "bridge", given, "--connect", endpoints[0]):
-            drive(endpoints, feed, sent)
+    router = peer_config(listen=True, mode="router")
+    with running(tmp_path / "beside", **plain) as (service, feed), zenoh.open(router) as session:
+        ros, where = router_locators(session), service.ready()["endpoints"]
+        with bridge(tmp_path / "bridge", given, "--connect", where[0], "--ros", ros[0]):
+            drive(ros, feed, sent)
     assert digest_of(tmp_path / "beside" / "log") == digest_of(tmp_path / "inside" / "log")
 
 
