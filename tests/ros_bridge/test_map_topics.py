@@ -1,5 +1,6 @@
 """The map as ROS topics: what comes out of a running service equals what its client is told."""
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,11 +17,16 @@ from roughmap_ros.wire import Qos, RosNode
 
 BOX = (-6.0, -6.0, 6.0, 5.0)
 LAYERS = ["max_height", "mean_height", "slope"]
+FAR = (500_100.0, 5_400_600.0, 500_110.0, 5_400_610.0)
+"""UTM coordinates, which float32 resolves to half a metre."""
+
 OUT = {
     "costmap": {"type": "OccupancyGrid", "box": BOX, "rate": 20.0},
     "limited": {"type": "OccupancyGrid", "box": BOX, "rate": 20.0, "threshold": 0.4, "topic": "/nav/limited"},
     "ground": {"type": "GridMap", "box": BOX, "rate": 20.0, "layers": LAYERS},
     "cells": {"type": "PointCloud2", "rate": 20.0, "size": (8.0, 6.0), "layers": ["traversability"]},
+    "slow": {"type": "GridMap", "box": BOX, "rate": 2.0},
+    "survey": {"type": "PointCloud2", "rate": 20.0, "box": FAR, "layers": ["count"]},
 }
 GRID, UPDATE = "nav_msgs/msg/OccupancyGrid", "map_msgs/msg/OccupancyGridUpdate"
 
@@ -137,9 +143,8 @@ def test_a_grid_map_has_each_layer_cell_by_cell(driven: Driven) -> None:
 def test_cells_around_a_robot_are_points_in_a_local_frame(driven: Driven) -> None:
     name = "sensor_msgs/msg/PointCloud2"
     message = newest(driven.endpoints, "/roughmap/cells", name, lambda one: one.width > 100)
-    tf = newest(driven.endpoints, "/tf_static", "tf2_msgs/msg/TFMessage", lambda one: True)
-    (local,) = tf.transforms
-    assert (local.header.frame_id, local.child_frame_id) == ("map", message.header.frame_id) == ("map", "map_local")
+    local = local_frame(driven, "map_local")
+    assert message.header.frame_id == "map_local"
     assert [field.name for field in message.fields] == ["x", "y", "z", "traversability"]
     points = np.asarray(message.data).view("<f4").reshape(-1, 4)
     moved = local.transform.translation
@@ -150,6 +155,32 @@ def test_cells_around_a_robot_are_points_in_a_local_frame(driven: Driven) -> Non
     middle = (places.min(axis=0) + places.max(axis=0)) / 2
     assert (np.abs(middle - driven.position) < [4.0, 3.0]).all()
     assert (np.abs(places - driven.position) <= [4.2, 3.2]).all()
+
+
+def local_frame(driven: Driven, name: str) -> Any:
+    """Return the transform of a local frame in the map."""
+    message = newest(
+        driven.endpoints, "/tf_static", "tf2_msgs/msg/TFMessage",
+        lambda one: name in [transform.child_frame_id for transform in one.transforms],
+    )  # fmt: skip
+    (local,) = [transform for transform in message.transforms if transform.child_frame_id == name]
+    assert local.header.frame_id == "map"
+    return local
+
+
+def test_far_from_the_origin_cells_lose_nothing(driven: Driven) -> None:
+    spread = np.random.default_rng(2).uniform(0.0, 1.0, (2000, 3)) * [9.9, 9.9, 0.01]
+    driven.feed.cloud("surveyor", START_NS + 10**9, spread + np.array([*FAR[:2], 412.5]), frame="map")
+    name = "sensor_msgs/msg/PointCloud2"
+    message = newest(driven.endpoints, "/roughmap/survey", name, lambda one: one.width > 1000)
+    local = local_frame(driven, "map_local2")
+    moved = local.transform.translation
+    assert (message.header.frame_id, moved.x, moved.y) == ("map_local2", 500_000.0, 5_401_000.0)
+    points = np.asarray(message.data).view("<f4").reshape(-1, 4)
+    places = points[:, :2].astype(float) + np.array([moved.x, moved.y])
+    # Cells of 0.2 m: their middles are odd multiples of 0.1 m.
+    assert np.allclose(places / 0.1, np.rint(places / 0.1), atol=0.01)
+    assert np.allclose(points[:, 3], driven.feed.client.cells(places, ["count"])["count"])
 
 
 def test_get_map_answers_with_the_grid(driven: Driven) -> None:
@@ -219,6 +250,18 @@ def test_other_nodes_see_the_node_and_its_topics(driven: Driven) -> None:
         ("MP", "%roughmap%costmap"), ("MP", "%roughmap%costmap_updates"), ("SS", "%roughmap%costmap%get_map"),
         ("MP", "%roughmap%ground"), ("MP", "%roughmap%cells"), ("MP", "%nav%limited"),
     }  # fmt: skip
+
+
+def test_a_changing_map_is_sent_at_its_rate_at_most(driven: Driven) -> None:
+    came: Gathered[float] = Gathered()
+    name, stamp_ns = "grid_map_msgs/msg/GridMap", driven.feed.client.status().newest_stamp_ns
+    with ros_session(driven.endpoints) as session, RosNode(session, "slow", keys="rmw_zenoh") as node:
+        node.subscriber("/roughmap/slow", name, type_hash(name), SENSOR, lambda received: came(time.monotonic()))
+        while len(came.items) < 4:
+            stamp_ns += 10**8
+            driven.feed.cloud("surveyor", stamp_ns, np.full((50, 3), [0.3, 0.3, 0.1]), frame="map")
+    # At 2 Hz three intervals take 1.5 s from sending to sending; on the way one may lose a little.
+    assert came.items[3] - came.items[0] > 1.2
 
 
 def test_a_map_that_does_not_change_sends_nothing(driven: Driven) -> None:

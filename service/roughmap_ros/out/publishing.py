@@ -60,10 +60,10 @@ class MapPublisher:
     def _run(self) -> None:
         scheduled = list(self._topics.values())
         while not self._closing.wait(max(min(one.due for one in scheduled) - time.monotonic(), 0.0)):
-            now = time.monotonic() + EARLY_S
-            due = [one for one in scheduled if one.due <= now]
+            now = time.monotonic()
+            due = [one for one in scheduled if one.due <= now + EARLY_S]
             for one in due:
-                one.due = max(one.due + 1 / one.topic.out.rate, now)
+                one.due = now + 1 / one.topic.out.rate
             try:
                 self._publish(due)
             except Exception:  # without this thread no topic goes on

@@ -1,5 +1,6 @@
 """What one topic of the map sends, and how."""
 
+import itertools
 import math
 import re
 from collections.abc import Mapping
@@ -153,8 +154,11 @@ class OccupancyTopic:
 class CellsTopic:
     """sensor_msgs/PointCloud2 of cells: x, y, z (mean_height) and layers as float32 about a local origin."""
 
-    def __init__(self, node: RosNode, topic: str, robot: str, out: Ros2OutConfig, frames: "LocalFrames") -> None:
+    def __init__(
+        self, node: RosNode, topic: str, robot: str, out: Ros2OutConfig, frames: "LocalFrames", local: str
+    ) -> None:
         self.out = out
+        self._local = local
         self.robot = robot
         self._names = tuple(out.layers) or DEFAULT_LAYERS[1:]
         self.layers = tuple(dict.fromkeys(("mean_height", *self._names)))
@@ -164,7 +168,7 @@ class CellsTopic:
     def show(self, shown: Shown) -> None:
         """Publish the known cells of the window."""
         region = shown.region
-        frame, origin = self._frames.frame_of(self, shown)
+        frame, origin = self._frames.frame_of(self._local, shown)
         layers = {name: region[name] for name in self._names}
         self._publisher.put(
             cells_cdr(
@@ -180,23 +184,21 @@ class LocalFrames:
     """Publishes the local frame of each topic of cells, `<map frame>_local`, on /tf_static.
 
     Its origin lies within `LOCAL_REACH` of the topic's cells and moves only when they leave that. With several such
-    topics the others' frames are numbered.
+    topics, those after the first have `<map frame>_local2` and so on.
     """
 
     def __init__(self, node: RosNode) -> None:
         self._publisher = node.publisher("/tf_static", TF, type_hash(TF), LATCHED)
-        self._frames: dict[object, Transform] = {}
+        self._frames: dict[str, Transform] = {}
 
-    def frame_of(self, topic: object, shown: Shown) -> tuple[str, tuple[float, float, float]]:
-        """Return the frame for these cells and its origin in the map frame, metres."""
+    def frame_of(self, local: str, shown: Shown) -> tuple[str, tuple[float, float, float]]:
+        """Return the frame for these cells, whose name ends in ``local``, and its origin in the map frame, metres."""
         x, y = shown.window.centre
-        held = self._frames.get(topic)
+        held = self._frames.get(local)
         if held is None or math.dist(held.translation[:2], (x, y)) > LOCAL_REACH:
-            number = len(self._frames) if held is None else list(self._frames).index(topic)
-            frame = f"{shown.frame_id}_local{number + 1 if number else ''}"
             origin = round(x / LOCAL_STEP) * LOCAL_STEP, round(y / LOCAL_STEP) * LOCAL_STEP, 0.0
-            held = Transform(shown.stamp_ns, shown.frame_id, frame, origin, (0.0, 0.0, 0.0, 1.0))
-            self._frames[topic] = held
+            held = Transform(shown.stamp_ns, shown.frame_id, shown.frame_id + local, origin, (0.0, 0.0, 0.0, 1.0))
+            self._frames[local] = held
             self._publisher.put(tf_cdr(list(self._frames.values())))
         x, y, z = held.translation
         return held.child_frame_id, (x, y, z)
@@ -216,6 +218,7 @@ def map_topics(node: RosNode, config: Ros2Config) -> Mapping[str, MapTopic]:
     """Declare the topics of ``[ros2.out]``; return them by name."""
     found: dict[str, MapTopic] = {}
     frames: LocalFrames | None = None
+    local = itertools.chain(("_local",), map("_local{}".format, itertools.count(2)))
     for name, out in config.out.items():
         topic, robot = topic_of(name, out), robot_of(out, config)
         if out.type == "GridMap":
@@ -224,7 +227,7 @@ def map_topics(node: RosNode, config: Ros2Config) -> Mapping[str, MapTopic]:
             found[name] = OccupancyTopic(node, topic, robot, out)
         else:
             frames = frames or LocalFrames(node)
-            found[name] = CellsTopic(node, topic, robot, out, frames)
+            found[name] = CellsTopic(node, topic, robot, out, frames, next(local))
     return found
 
 
