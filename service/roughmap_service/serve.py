@@ -16,7 +16,6 @@ import zenoh
 from roughmap_schemas import Config, Keys, configuration_digest
 from roughmap_schemas.config_load import LoadedConfig
 from roughmap_schemas.faults import ReportedError
-from roughmap_schemas.messages import LogState
 from roughmap_service.answers.emptied_tiles import EmptiedHistory
 from roughmap_service.answers.events import EventPublisher
 from roughmap_service.answers.map_reader import MapReader
@@ -261,8 +260,9 @@ class Service:
     def _start_answers(self, stack: ExitStack) -> None:
         config, view, keys, served = self._config, self._view, self._keys, self._served
         self._parts = RunningParts(
-            self._sequencer, self._writer, self._queue, self._snapshots, self._memory, self._counters, self._streams
-        )
+            self._sequencer, self._writer, self._queue, self._snapshots, self._memory, self._counters, self._streams,
+            config.log.keep,
+        )  # fmt: skip
         self._status = Status(view, self._counters, config, served, version("roughmap"), self._progress)
         control = Control(self._sequencer, self._snapshots, self._take_snapshot)
         records = OutputRecords(self._writer, keys, self._counters, queries=config.log.queries)
@@ -286,7 +286,7 @@ class Service:
             problems=self._parts.problems(),
             lost=self._parts.lost(),
             recent=self._streams.recent.told(),
-            log=LogState(file=str(self._writer.path), bytes=self._writer.size, ok=self._writer.ok),
+            log=self._parts.log_state(),
         )
 
     def _let_messages_in(self, stack: ExitStack) -> None:

@@ -3,9 +3,13 @@
 from typing import Any
 
 import pytest
-from doctor_traffic import NOW, SENSORS, Drive, findings, heard_transform
+from doctor_traffic import NOW, SENSORS, Drive, configuration, findings, heard_transform
 
+from roughmap_schemas import MapStatus
+from roughmap_schemas.messages import CloudCounts
+from roughmap_service.cli.doctor.clouds import judge_mounting
 from roughmap_service.cli.doctor.findings import Finding
+from roughmap_service.cli.doctor.service import knows_mountings
 
 (FRAME,) = SENSORS
 
@@ -43,6 +47,29 @@ def test_a_transform_that_came_is_shown_and_judged_by() -> None:
     assert f"mounting of {FRAME!r}: base_link -> {FRAME} at 100, 0, 0 m, by transform" in texts
     assert not [text for text in texts if "not used" in text or "waits for" in text]
     assert [one.verdict for one in found if "exclude" in one.text] == ["wrong"]
+
+
+COUNTS = {"accepted": 5, "rejected": {"no_extrinsics": 2}}
+
+
+@pytest.mark.parametrize(
+    ("clouds", "instance", "known"),
+    [
+        ({"accepted": 9, "rejected": {"no_extrinsics": 2}}, "a", True),
+        ({"accepted": 9, "rejected": {"no_extrinsics": 3}}, "a", False),
+        ({"accepted": 5, "rejected": {"no_extrinsics": 2}}, "a", False),  # none was mapped: nothing is known
+        ({"accepted": 9, "rejected": {"no_extrinsics": 2}}, "b", False),  # it was restarted
+    ],
+)
+def test_a_service_may_know_the_mounting_from_before(clouds: dict[str, Any], instance: str, *, known: bool) -> None:
+    def status(counts: dict[str, Any], run: str = "a") -> MapStatus:
+        return MapStatus.model_construct(instance=run, clouds=CloudCounts.model_validate(counts))
+
+    assert knows_mountings(status(COUNTS), status(clouds, instance)) is known
+    assert not knows_mountings(None, status(clouds, instance))
+    config = configuration(by_transform())
+    (found,) = judge_mounting("r1", FRAME, config, None, mounted=known)
+    assert found.verdict == ("ok" if known else "note")
 
 
 def test_a_transform_that_mounts_nothing_is_told_as_before() -> None:

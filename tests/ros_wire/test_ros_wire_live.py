@@ -11,7 +11,17 @@ import pytest
 import zenoh
 from net import WAIT_S, Gathered, open_listener, peer_config, wait_for, wait_until
 
-from roughmap_ros.wire import SENSOR_DATA, Kind, Qos, Received, RosNode, RosPublisher, enable_timestamps
+from roughmap_ros.wire import (
+    SENSOR_DATA,
+    Kind,
+    Qos,
+    Received,
+    RosNode,
+    RosPublisher,
+    enable_timestamps,
+    endpoints_seen,
+    matching_problems,
+)
 from roughmap_ros.wire.attachment import Attachment, pack_attachment, unpack_attachment
 from roughmap_ros.wire.errors import WireError
 from roughmap_ros.wire.services import MAX_WAITING
@@ -109,8 +119,13 @@ def test_a_late_joiner_gets_the_last_grid_and_those_after_it(
     first, second = sessions
     with RosNode(first, "map", keys=keys) as mapper, RosNode(second, "nav", keys=keys) as planner:  # type: ignore[arg-type]
         publisher = mapper.publisher("/grid", GRID, GRID_HASH, LATCHED)
+        passed: Gathered[zenoh.Sample] = Gathered()
+        witness = second.declare_subscriber(f"{'0/' if keys == 'rmw_zenoh' else ''}grid/**", passed)
+        await_match(publisher)
         for text in (b"first", b"second"):
             publisher.put(CDR + text)
+        passed.wait(lambda items: len(items) == 2, "both grids to be under way no more")
+        witness.undeclare()
         came: Gathered[Received] = Gathered()
         planner.subscriber("/grid", GRID, GRID_HASH, LATCHED, came)
         came.wait(lambda items: len(items) == 1, "the last grid")
@@ -312,6 +327,20 @@ def test_endpoints_that_do_not_fit_are_told(nodes: tuple[RosNode, RosNode]) -> N
     assert c.startswith("/c: a publisher (/robot/driver): hash RIHS01_other differs")
     assert d.startswith("/d: a publisher (/robot/driver) has the type hash TypeHashNotSupported")
     assert e == f"/e: no node publishes it; {CLOUD} is on /a, /c, /d"
+
+
+def test_one_who_is_no_node_sees_what_does_not_fit(
+    sessions: tuple[zenoh.Session, zenoh.Session], nodes: tuple[RosNode, RosNode]
+) -> None:
+    driver, mapper = nodes
+    mapper.subscriber("/points", CLOUD, HASH, Qos(), lambda received: None)
+    driver.publisher("/points", CLOUD, HASH, SENSOR_DATA)
+    seen = wait_until(lambda: len(all_ := endpoints_seen(sessions[0], 0)) == 2 and all_, "both endpoints")
+    assert isinstance(seen, list)
+    ours = [entity for entity in seen if entity.node == "/mapper"]
+    others = [entity for entity in seen if entity.node != "/mapper"]
+    assert matching_problems(ours, others) == mapper.problems()
+    assert endpoints_seen(sessions[0], 1) == []
 
 
 def test_nothing_is_left_of_a_node_that_ended(sessions: tuple[zenoh.Session, zenoh.Session]) -> None:

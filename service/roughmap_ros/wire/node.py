@@ -22,10 +22,10 @@ MAX_MESSAGE: Final = 64 << 20
 """Bytes of a message, unless told otherwise: the default of input.max_message."""
 
 MAX_SEEN: Final = 20_000
-"""Endpoints of other nodes that are looked at."""
+"""Endpoints that are looked at."""
 
 SEEN_TIMEOUT_S: Final = 5.0
-"""How long the answer about other nodes may take. Normally it takes milliseconds."""
+"""How long the answer about all nodes may take. Normally it takes milliseconds."""
 
 NODE_ID: Final = 0
 
@@ -118,18 +118,9 @@ class RosNode:
 
         Not for callbacks: it waits until Zenoh has answered.
         """
-        found: dict[str, Entity] = {}
         if not self._rmw:
             return []
-        with zenoh_errors(self._name):
-            for reply in self._session.liveliness().get(all_tokens(self._domain), timeout=SEEN_TIMEOUT_S):
-                entity = None if reply.ok is None else parse_token(str(reply.ok.key_expr))
-                if entity is None or entity.kind == Kind.NODE or self._is_own(entity):
-                    continue
-                found[entity.token] = entity
-                if len(found) >= MAX_SEEN:
-                    break
-        return [found[token] for token in sorted(found)]
+        return [entity for entity in endpoints_seen(self._session, self._domain) if not self._is_own(entity)]
 
     def mismatches(self) -> list[str]:
         """Return a line for each endpoint of other nodes that does not fit ours. As `seen`, not for callbacks."""
@@ -176,3 +167,19 @@ class RosNode:
     def _declare_token(self, name: str, token: str) -> None:
         with zenoh_errors(name):
             self._undeclare.append(self._session.liveliness().declare_token(token).undeclare)
+
+
+def endpoints_seen(session: zenoh.Session, domain: int) -> list[Entity]:
+    """Return the publishers, subscribers, services and clients of all nodes of rmw_zenoh in a domain, sorted.
+
+    Takes no node of one's own. Not for callbacks. Raises WireError.
+    """
+    found: dict[str, Entity] = {}
+    with zenoh_errors(f"ROS domain {domain}"):
+        for reply in session.liveliness().get(all_tokens(domain), timeout=SEEN_TIMEOUT_S):
+            entity = None if reply.ok is None else parse_token(str(reply.ok.key_expr))
+            if entity is not None and entity.kind != Kind.NODE:
+                found[entity.token] = entity
+            if len(found) >= MAX_SEEN:
+                break
+    return [found[token] for token in sorted(found)]

@@ -23,6 +23,7 @@ COMMANDS = {
     "doctor": "check configuration, machine, network and robots",
     "replay": "integrate a log again and compare with the logged results",
     "build": "make a map.db from recorded clouds, without a service",
+    "export": "write the map for other tools: GIS, point clouds, Nav2, RViz",
     "config": "show, check or describe the configuration",
 }
 """The commands in the order of `roughmap --help`, each with its summary. A command is a function in a module, both of

@@ -43,14 +43,21 @@ def judge_frame(robot: str, frame: str, config: Config, mounting: HeardTransform
     return [Finding(robot, "wrong", text, remedy, table(("sensors", frame), settings))]
 
 
-def judge_mounting(robot: str, frame: str, config: Config, mounting: HeardTransform | None) -> list[Finding]:
-    """Judge whether it is known where a sensor is mounted whose mounting comes with the robot's transforms."""
+def judge_mounting(
+    robot: str, frame: str, config: Config, mounting: HeardTransform | None, *, mounted: bool
+) -> list[Finding]:
+    """Judge whether it is known where a sensor is mounted whose mounting comes with the robot's transforms.
+
+    ``mounting`` is what came meanwhile; ``mounted``: the running service knows it from before.
+    """
     settings = config.sensor(robot, frame)
     if settings is None or settings.extrinsics != "transform":
         return []
     if mounting is not None:
         at = ", ".join(f"{value:.4g}" for value in mounting.translation)
         return [Finding(robot, "ok", f"mounting of {frame!r}: {mounting.parent} -> {frame} at {at} m, by transform")]
+    if mounted:
+        return [Finding(robot, "ok", f"mounting of {frame!r}: the service knows it, by an earlier transform")]
     text = f"{frame!r} waits for the transform base -> {frame} (extrinsics): none came meanwhile; without one, its "
     text += "clouds are rejected as no_extrinsics"
     key = config.keys["transform"].replace("{robot}", robot)

@@ -34,10 +34,11 @@ class Odometry(NamedTuple):
     rising: list[Heard]
 
 
-def judge(traffic: Traffic, config: Config, seconds: float) -> list[Finding]:
-    """Return the findings on the traffic of the last ``seconds``."""
+def judge(traffic: Traffic, config: Config, seconds: float, *, mounted: bool = False) -> list[Finding]:
+    """Return the findings on the traffic of the last ``seconds``; ``mounted``: a service knows all mountings."""
     robots = traffic.robots
-    findings = [finding for name in sorted(robots) for finding in _robot(name, robots, config, traffic.ended_ns)]
+    ended_ns = traffic.ended_ns
+    findings = [one for name in sorted(robots) for one in _robot(name, robots, config, ended_ns, mounted=mounted)]
     silent = sorted(set(config.input.robots) - set(robots))
     if silent and robots:
         text = f"nothing from {', '.join(silent)} (input.robots)"
@@ -58,7 +59,7 @@ def judge(traffic: Traffic, config: Config, seconds: float) -> list[Finding]:
     return findings
 
 
-def _robot(name: str, robots: dict[str, Robot], config: Config, ended_ns: int) -> list[Finding]:
+def _robot(name: str, robots: dict[str, Robot], config: Config, ended_ns: int, *, mounted: bool) -> list[Finding]:
     robot = robots[name]
     findings: list[Finding] = []
     if config.input.robots and name not in config.input.robots:
@@ -78,7 +79,7 @@ def _robot(name: str, robots: dict[str, Robot], config: Config, ended_ns: int) -
         remedy = f"publish the localisation's poses on {config.keys['odometry'].replace('{robot}', name)}"
         findings.append(Finding(name, "wrong", "no odometry: its clouds can't be placed", remedy))
     for frame in sorted(robot.sensors):
-        findings += _sensor(name, frame, robots, odometry, config, ended_ns)
+        findings += _sensor(name, frame, robots, odometry, config, ended_ns, mounted=mounted)
     if odometry.rising or robot.sensors:
         findings += judge_machine_clock(name, odometry.rising)
     findings += _numbers(name, robot)
@@ -86,7 +87,14 @@ def _robot(name: str, robots: dict[str, Robot], config: Config, ended_ns: int) -
 
 
 def _sensor(
-    name: str, frame: str, robots: dict[str, Robot], odometry: Odometry, config: Config, ended_ns: int
+    name: str,
+    frame: str,
+    robots: dict[str, Robot],
+    odometry: Odometry,
+    config: Config,
+    ended_ns: int,
+    *,
+    mounted: bool,
 ) -> list[Finding]:
     sensor = robots[name].sensors[frame]
     heard = times(sensor.clouds)
@@ -98,7 +106,7 @@ def _sensor(
     if frame == config.map.frame_id:
         return findings
     names, settings = _table(name, frame, robots, config), config.sensor(name, frame)
-    findings += judge_mounting(name, frame, config, mounting)
+    findings += judge_mounting(name, frame, config, mounting, mounted=mounted)
     findings += judge_stamps(name, f"clouds in {frame!r}", heard, poses=False)
     samples = list(sensor.samples)
     found = read_times(samples, settings)
