@@ -34,10 +34,10 @@ class RunningParts:
     memory: MemoryLimit
     counters: Counters
     streams: Streams
-    ros2: Ros2Inputs | None = None
     keep: int | None = None
     """`log.keep` in bytes."""
     growth: LogGrowth = field(default_factory=LogGrowth)
+    ros2: Ros2Inputs | None = None
     _stalled: bool = False
 
     def problems(self) -> dict[Problem, str]:
