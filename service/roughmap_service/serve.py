@@ -36,6 +36,7 @@ from roughmap_service.host.log_lines import note
 from roughmap_service.http.server import HttpServer
 from roughmap_service.inputs.queue import InputQueue
 from roughmap_service.inputs.receipts import ReceiptSender
+from roughmap_service.inputs.ros2 import Ros2Inputs, prepare
 from roughmap_service.inputs.session import bound_messages, check_exposure, claim, endpoints, open_session, zenoh_config
 from roughmap_service.inputs.streams import Streams
 from roughmap_service.inputs.subscriptions import ZenohInputs
@@ -89,6 +90,7 @@ def serve(
     directory, store = Path(config.log.directory), Store(Path(config.store.path)) if config.store.path else None
     session_config = zenoh_config(loaded)
     bound_messages(session_config, config.input.max_message)
+    prepare(session_config, config)
     check_exposure(session_config, loaded, insecure=insecure)
     with ExitStack() as stack:
         stack.enter_context(locked(directory, None if store is None else store.path))
@@ -282,7 +284,7 @@ class Service:
             newest_stamp_ns=self._run.newest_stamp_ns,
             waiting=len(self._run.clouds),
             problems=self._parts.problems(),
-            lost=self._streams.problems(),
+            lost=self._parts.lost(),
             recent=self._streams.recent.told(),
             log=self._parts.log_state(),
         )
@@ -293,6 +295,10 @@ class Service:
         stack.enter_context(
             ZenohInputs(self._session, self._keys, self._queue, self._receipts, limit, self._counters, self._streams)
         )
+        if self._config.ros2.active:
+            self._parts.ros2 = stack.enter_context(
+                Ros2Inputs(self._session, self._config, self._queue, self._counters, self._streams)
+            )
 
     def _show(self, stack: ExitStack) -> None:
         connect_pages(self._parts, self._answers, self._sources, self._status, self._config)

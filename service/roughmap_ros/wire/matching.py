@@ -37,9 +37,17 @@ def matching_problems(ours: Sequence[Entity], others: Sequence[Entity]) -> list[
 
     The lines are sorted; each begins with the topic.
     """
-    lines = {line for own in ours for other in others if (line := mismatch(own, other)) is not None}
-    lines |= {line for own in ours if (line := _unpublished(own, others)) is not None}
-    return sorted(lines)
+    return sorted(mismatches(ours, others) + unpublished(ours, others))
+
+
+def mismatches(ours: Sequence[Entity], others: Sequence[Entity]) -> list[str]:
+    """Return a line for each endpoint of another node that does not fit one of ours, sorted."""
+    return sorted({line for own in ours for other in others if (line := mismatch(own, other)) is not None})
+
+
+def unpublished(ours: Sequence[Entity], others: Sequence[Entity]) -> list[str]:
+    """Return a line for each of our subscribers without a publisher, sorted."""
+    return sorted({line for own in ours if (line := _unpublished(own, others)) is not None})
 
 
 def mismatch(own: Entity, other: Entity) -> str | None:

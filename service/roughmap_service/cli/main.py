@@ -16,6 +16,7 @@ COMMANDS = {
     "demo": "run service, rover, planner and replay on this machine; draw the map",
     "serve": "run the mapping service",
     "simulate": "publish the scans and poses of a simulated rover, or recorded scans",
+    "ros2": "take part in ROS 2 for a running service",
     "query": "get a region of a running service's map as a table, PNG or NPZ",
     "top": "watch a running service in the terminal",
     "health": "check that the service works; exit code 0 or 1",

@@ -13,6 +13,7 @@ from roughmap_service.host.counters import Counters
 from roughmap_service.host.log_growth import LogGrowth, hours_to_full
 from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.queue import InputQueue
+from roughmap_service.inputs.ros2 import Ros2Inputs
 from roughmap_service.inputs.streams import Streams
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.store.memory_limit import MemoryLimit
@@ -36,6 +37,7 @@ class RunningParts:
     keep: int | None = None
     """`log.keep` in bytes."""
     growth: LogGrowth = field(default_factory=LogGrowth)
+    ros2: Ros2Inputs | None = None
     _stalled: bool = False
 
     def problems(self) -> dict[Problem, str]:
@@ -44,8 +46,12 @@ class RunningParts:
             alive=self.sequencer.alive, turned=self.sequencer.turned, failure=self.sequencer.failure,
             log_ok=self.writer.ok, log_error=self.writer.error, memory_ok=self.memory.ok,
             store_ok=self.snapshots.ok, store_error=self.snapshots.error, overloaded=self.counters.overloaded,
-            lost=self.streams.problems().values(),
+            lost=self.lost().values(),
         )  # fmt: skip
+
+    def lost(self) -> dict[str, str]:
+        """Return a sentence on each robot, sensor and ROS topic whose messages come to nothing."""
+        return self.streams.problems() | ({} if self.ros2 is None else self.ros2.problems())
 
     def log_state(self) -> LogState:
         """Return the state of the log, and how it grows."""
@@ -105,7 +111,7 @@ def connect_pages(
     store = None if config.store.path is None else Path(config.store.path)
     disk = Disk(Path(config.log.directory), store, parts.memory.spill.path)
     metrics = Metrics(
-        status, parts.counters, figures, sources.readiness.problems, parts.streams.problems, disk,
+        status, parts.counters, figures, sources.readiness.problems, parts.lost, disk,
         config.map.memory_limit,
     )  # fmt: skip
     sources.status, sources.metrics = status, metrics.text

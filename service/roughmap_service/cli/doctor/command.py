@@ -172,6 +172,7 @@ def _traffic(beside: Beside, session: "zenoh.Session", loaded: "LoadedConfig", s
     from roughmap_schemas.keys import Keys
     from roughmap_service.cli.doctor.machine import log_growth
     from roughmap_service.cli.doctor.robots import judge
+    from roughmap_service.cli.doctor.ros2 import Ros2Ears
     from roughmap_service.cli.doctor.service import knows_mountings
     from roughmap_service.cli.doctor.traffic import Traffic
     from roughmap_service.run.settings import Settings
@@ -179,10 +180,13 @@ def _traffic(beside: Beside, session: "zenoh.Session", loaded: "LoadedConfig", s
     config = loaded.config
     traffic = Traffic(Settings(config))
     wall, monotonic = time.time(), time.monotonic()
-    traffic.listen(session, Keys(config.map.name, config.keys), seconds)
+    with ExitStack() as stack:
+        ears = stack.enter_context(Ros2Ears(session, config, traffic.put)) if config.ros2.robots else None
+        traffic.listen(session, Keys(config.map.name, config.keys), seconds)
+        on_topics = [] if ears is None else ears.judge()
     stepped = (time.time() - wall) - (time.monotonic() - monotonic)
     said, after = _meanwhile(beside)
-    findings = judge(traffic, config, seconds, mounted=knows_mountings(beside.status, after))
+    findings = on_topics + judge(traffic, config, seconds, mounted=knows_mountings(beside.status, after))
     if abs(stepped) > 0.1:  # slewing stays far below a millisecond a second
         text = f"this machine's clock jumped by {stepped:+.2f} s while doctor listened"
         findings.append(Finding("clock", "wrong", text, "let a single program set it, by slewing"))

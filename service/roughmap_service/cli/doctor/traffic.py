@@ -112,13 +112,8 @@ class Traffic:
             robot = parse_key(str(sample.key_expr))
         except MessageFault:
             return  # not a robot's key
-        size = len(sample.payload)
-        with self._lock:
-            if self._bytes + size > MAX_BYTES:
-                self.missed += 1
-                self.heard_bytes += size
-                return
-            self._bytes += size
+        if not self._has_room(len(sample.payload)):
+            return
         attachment = sample.attachment
         number = None
         if attachment is not None and len(attachment) == 8:
@@ -127,6 +122,21 @@ class Traffic:
         self._waiting.put(
             Message(kind, robot, sample.payload.to_bytes(), str(sample.encoding), arrival_ns, number, source)
         )
+
+    def put(self, message: Message) -> None:
+        """Take a message that came another way than `listen`, now; any thread may call it."""
+        if self._has_room(len(message.payload)):
+            self._waiting.put(message._replace(arrival_ns=self._base_ns + time.monotonic_ns()))
+
+    def _has_room(self, size: int) -> bool:
+        """Tell whether a message of that size may wait, and count it if so."""
+        with self._lock:
+            if self._bytes + size > MAX_BYTES:
+                self.missed += 1
+                self.heard_bytes += size
+                return False
+            self._bytes += size
+        return True
 
     def _take_next(self, wait_s: float) -> bool:
         try:
