@@ -76,7 +76,9 @@ def main() -> int:
     for command in commands((ROOT / "README.md").read_text()):
         line = command.replace("'roughmap[geo]'", f"'{wheel}[geo]'")
         at = time.monotonic()
-        done = subprocess.run(["bash", "-ec", f"{activated}{line}"], cwd=room, env=environment, timeout=LIMIT_S, check=False)
+        done = subprocess.run(
+            ["bash", "-ec", f"{activated}{line}"], cwd=room, env=environment, timeout=LIMIT_S, check=False
+        )
         print(f"{time.monotonic() - at:7.1f} s  {command}", flush=True)
         if done.returncode:
             print(f"FOUND exit code {done.returncode}: {command}")
