@@ -131,7 +131,7 @@ def counted_variance(variance: Scalar) -> Scalar:
 @inline
 def point_covariance(l: Scalar, m: Scalar, square: Scalar, beam: Scalar, s: Scalar, mounted: Scalar) -> Scalar:  # noqa: E741
     """Return the upper triangle of S (eq. 1) from the levers l and l_m, the squared range and `shared_terms`."""
-    sr = beam[0] + beam[1] * math.sqrt(square)
+    sr = beam[0] + beam[1] * math.sqrt(square) + beam[3] * square
     across = beam[2] * beam[2] * square
     along = (sr * sr - across) / square
     x, y, z = l

@@ -63,7 +63,8 @@ class Scan:
 class Noise:
     """Errors of a spherical scanner, each one sigma.
 
-    ``range_sigma`` metres; ``range_sigma_per_m`` metres per metre of range; ``beam_sigma`` radians across the beam;
+    ``range_sigma`` metres; ``range_sigma_per_m`` metres per metre of range; ``range_sigma_per_m2`` metres per square
+    metre: a stereo camera's error grows so. A range's sigma is the sum. ``beam_sigma`` radians across the beam;
     ``mount_sigma``: x y z roll pitch yaw of the mounting, metres and radians, in the robot's axes (None: zeros).
     ``pose_error_time``: seconds, above 0, over which the errors of the robot's poses stay alike.
     """
@@ -73,9 +74,10 @@ class Noise:
     beam_sigma: float = 0.0
     mount_sigma: Sequence[float] | None = None
     pose_error_time: float = 5.0
+    range_sigma_per_m2: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("range_sigma", "range_sigma_per_m", "beam_sigma"):
+        for name in ("range_sigma", "range_sigma_per_m", "range_sigma_per_m2", "beam_sigma"):
             checked_number(f"Noise.{name}", getattr(self, name), 0.0, finite=True)
         mount = checked_floats([0.0] * 6 if self.mount_sigma is None else self.mount_sigma, (6,), "Noise.mount_sigma")
         if (mount < 0.0).any():
@@ -158,9 +160,12 @@ class Limits:
 def scan_rules(scan: Scan, noise: Noise, limits: Limits) -> tuple[Any, ...]:
     """Pack a scan's mounting, noise and limits for the kernels.
 
-    Returns mounting (12: rotation matrix, translation), beam (3), ``mount_sigma`` squared (6), limits (4:
+    Returns mounting (12: rotation matrix, translation), beam (4), ``mount_sigma`` squared (6), limits (4:
     `Limits.squares`, ceiling and its slope) and boxes (B, 6).
     """
-    beam = float(noise.range_sigma), float(noise.range_sigma_per_m), float(noise.beam_sigma)
+    beam = (
+        float(noise.range_sigma), float(noise.range_sigma_per_m), float(noise.beam_sigma),
+        float(noise.range_sigma_per_m2),
+    )  # fmt: skip
     numbers = *limits.squares, float(limits.ceiling), float(limits.ceiling_slope)
     return scan.mounting, beam, noise.mount_variance, numbers, limits.boxes

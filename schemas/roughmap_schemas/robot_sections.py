@@ -36,6 +36,9 @@ class SensorConfig(Section):
     """Standard deviation of a range."""
     range_sigma_per_m: NotNegative = 0.0
     """Added to `range_sigma` for each metre of range."""
+    range_sigma_per_m2: NotNegative = 0.0
+    """Added to `range_sigma` for each square metre of range. A stereo camera: the disparity's error in pixels divided
+    by focal length in pixels and baseline in metres."""
     beam_sigma: NotNegative = 0.0
     """Standard deviation of a beam's direction."""
     mount_sigma: SixSigmas = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

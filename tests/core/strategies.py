@@ -112,6 +112,7 @@ noises = st.builds(
     Noise,
     range_sigma=st.sampled_from([0.0, 0.01, 0.03]),
     range_sigma_per_m=st.sampled_from([0.0, 0.002]),
+    range_sigma_per_m2=st.sampled_from([0.0, 0.003]),
     beam_sigma=st.sampled_from([0.0, 0.001, 0.02]),
     mount_sigma=st.sampled_from([None, (0.01, 0.02, 0.0, 0.001, 0.0, 0.002)]),
 )

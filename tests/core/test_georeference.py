@@ -45,7 +45,8 @@ def place(scan: Scan, way: Trajectory, noise: Noise, n: int, gap_s: float) -> tu
     lever_m = turn.apply(mounted.apply(p))
     r = np.linalg.norm(p)
     u = p / r
-    sr, across = noise.range_sigma + noise.range_sigma_per_m * r, noise.beam_sigma * r
+    sr = noise.range_sigma + noise.range_sigma_per_m * r + noise.range_sigma_per_m2 * r**2
+    across = noise.beam_sigma * r
     S_sensor = sr**2 * np.outer(u, u) + across**2 * (np.eye(3) - np.outer(u, u))
     R_ms = (turn * mounted).as_matrix()
     J = np.hstack([np.eye(3), -cross(lever)])

@@ -178,6 +178,7 @@ UNIT = (0.0, 0.0, 0.0, 1.0)
         (lambda: Noise(np.inf), r"Noise\.range_sigma"),
         (lambda: Noise(0.01, beam_sigma=-1.0), r"Noise\.beam_sigma"),
         (lambda: Noise(0.01, range_sigma_per_m=-1.0), r"Noise\.range_sigma_per_m"),
+        (lambda: Noise(0.01, range_sigma_per_m2=-1.0), r"Noise\.range_sigma_per_m2"),
         (lambda: Noise(0.01, mount_sigma=(0, 0, 0)), r"Noise\.mount_sigma"),
         (lambda: Noise(0.01, mount_sigma=(0, 0, 0, 0, 0, -1e-3)), r"Noise\.mount_sigma"),
         (lambda: Limits(min_range=-1.0), r"Limits\.min_range"),

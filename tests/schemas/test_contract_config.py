@@ -107,6 +107,7 @@ SENSOR_DEFAULTS = {
     "extrinsics": "configured",
     "range_sigma": 0.02,
     "range_sigma_per_m": 0,
+    "range_sigma_per_m2": 0,
     "beam_sigma": 0,
     "mount_sigma": (0,) * 6,
     "min_range": 0,

@@ -126,6 +126,7 @@ def _sensor(config: SensorConfig, max_pose_gap: float, pose_error_time: float) -
         noise=Noise(
             range_sigma=config.range_sigma,
             range_sigma_per_m=config.range_sigma_per_m,
+            range_sigma_per_m2=config.range_sigma_per_m2,
             beam_sigma=config.beam_sigma,
             mount_sigma=config.mount_sigma if any(config.mount_sigma) else None,
             pose_error_time=pose_error_time,
