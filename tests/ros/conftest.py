@@ -1,14 +1,12 @@
 """Environments with ROS 2 that `make ros-test` makes."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 import zenoh
 from environments import OTHERS, THIS
-from ros_processes import Peer, Ros, environment, peer
-
 from net import locators, peer_config
+from ros_processes import Peer, Ros, environment, peer
 
 
 @pytest.fixture(scope="session")

@@ -56,6 +56,9 @@ MAX_MESSAGE = 256 << 20
 QUERY_S = 5.0
 """How long roughmap may take to answer a service."""
 
+SPIN_S = 0.5
+"""How soon a thread without callbacks notices that ROS has shut down."""
+
 MATCH_S = 1.0
 TELL_S = 10.0
 
@@ -320,7 +323,8 @@ def spin(node):
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     with suppress(KeyboardInterrupt, ExternalShutdownException):
-        executor.spin()
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=SPIN_S)
 
 
 def main():
