@@ -1,4 +1,4 @@
-"""ROS packages of messages that PyPI has no wheels of, for a colcon workspace; their type support is generated there."""
+"""ROS packages of messages that PyPI has no wheels of; a colcon workspace generates their type support."""
 
 from pathlib import Path
 

@@ -4,6 +4,7 @@ Runs in an environment with ROS alone. Bytes are base64. A command that fails an
 """
 
 import base64
+import contextlib
 import importlib
 import json
 import sys
@@ -163,10 +164,8 @@ def main() -> None:
     executor.add_node(peer.node)
 
     def spin() -> None:
-        try:
+        with contextlib.suppress(ExternalShutdownException):
             executor.spin()
-        except ExternalShutdownException:
-            pass
 
     thread = threading.Thread(target=spin, daemon=True)
     thread.start()
