@@ -6,7 +6,7 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-random test-recordings map-right check audit ros-test bench bench-against bench-peers faults walks fuzz soak overload arm-test schemas lock image container-test clean
+.PHONY: help setup demo test test-random test-recordings map-right check audit ros-test bench bench-against bench-peers faults walks own-bag fuzz soak overload arm-test schemas lock image container-test clean
 
 help:  ## show this list
 	@echo "make TARGET, where TARGET is:"
@@ -69,6 +69,9 @@ faults: $(READY)  ## cause kills, power cuts, full disks, damage and bad links; 
 
 walks: $(READY)  ## simulate robots with one fault each: who names it, how soon; about 3 minutes; ARGS="--only leap"
 	$(BIN)/python tests/walks/run.py $(ARGS)
+
+own-bag: $(READY)  ## walk a new user's first ten minutes: install a wheel, map a bag, export; ARGS="--keep FOLDER"
+	$(BIN)/python tests/walks/own_bag.py $(ARGS)
 
 fuzz: $(READY)  ## feed arbitrary bytes to every reader of bytes; ARGS="--seconds 600", findings in fuzz/
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r tests/fuzz/requirements.txt || true

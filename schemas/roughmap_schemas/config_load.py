@@ -17,6 +17,7 @@ from roughmap_schemas.config import REMOVED, Config, without_secrets
 from roughmap_schemas.faults import ConfigFault
 from roughmap_schemas.keys import NAME_PATTERN, NAME_WORDS, TEMPLATES
 from roughmap_schemas.layers import default_limits
+from roughmap_schemas.robot_sections import mounted_twice
 from roughmap_schemas.values import LEAST
 
 DEFAULT_FILE: Final = Path("roughmap.toml")
@@ -84,6 +85,8 @@ def load_config(
                 f"{given[dotted]}: {dotted}: must be set by {dotted}_file or the environment variable {variable}"
             )
     config = _validated(values, given, str(file) if file is not None else "configuration")
+    if fault := mounted_twice(values):
+        raise ConfigFault(f"{file}: {fault}")
     sources = {dotted: given.get(dotted, DEFAULT) for dotted in _leaves(config.model_dump(mode="python"))}
     for dotted in sources:
         # A robot's sensor takes settings that it does not have from the general table of that frame.

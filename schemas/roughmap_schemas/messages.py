@@ -267,11 +267,18 @@ class TileCounts(Message):
 
 
 class LogState(Message):
-    """The file that is being written (null if none), its size so far, and whether the last write succeeded."""
+    """The file that is being written (null if none), its size so far, whether the last write succeeded, and how fast
+    all files together grow."""
 
     file: str | None = None
     bytes: Number = 0
     ok: bool = True
+    bytes_per_hour: Number | None = None
+    """Growth over the last minutes; null in the first 10 s."""
+    hours_to_full_disk: Annotated[Finite, Field(ge=0)] | None = None
+    """Time until the log fills its disk if it goes on so; null if ``log.keep`` bounds it, or if it is unknown."""
+    keep: Number | None = None
+    """``log.keep`` in bytes; null if all files are kept."""
 
 
 class MapStatus(Reply):

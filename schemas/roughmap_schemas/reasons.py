@@ -33,6 +33,7 @@ class CloudReason(StrEnum):
     CLOCK_RESET = "clock_reset"
     CLOCK_OFFSET = "clock_offset"
     TIME_FORM = "time_form"
+    NO_EXTRINSICS = "no_extrinsics"
 
 
 class PoseReason(StrEnum):
@@ -114,6 +115,7 @@ MEANING: Final[dict[type[Reason], dict[str, str]]] = {
         "clock_reset": "the robot's clock was set back",
         "clock_offset": "the sensor's clock differs from the robot's",
         "time_form": "the meaning of its points' times is unclear",
+        "no_extrinsics": "the sensor's mounting has not come yet",
     },
     PoseReason: {
         "duplicate": "a second pose with the same stamp",

@@ -1,6 +1,7 @@
 """The sections on robots and their sensors."""
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
@@ -79,6 +80,25 @@ class SensorOverrides(SensorConfig):
 
     # Only for the JSON Schema: when a robot is validated, its tables are already merged over the general ones.
     model_config = ConfigDict(json_schema_extra=_all_optional)
+
+
+def mounted_twice(values: Mapping[str, Any]) -> str | None:
+    """Return what is wrong with a configuration of valid values whose sensor has two sources of its mounting.
+
+    Of a robot's own table counts what it says itself, beside the general ``extrinsics`` of that frame.
+    """
+    general: Mapping[str, Mapping[str, Any]] = values.get("sensors", {})
+    tables = [(f"sensors.{frame}", own, own.get("extrinsics")) for frame, own in general.items()]
+    for name, robot in values.get("robots", {}).items():
+        for frame, own in robot.get("sensors", {}).items():
+            source = own.get("extrinsics", general.get(frame, {}).get("extrinsics"))
+            tables.append((f"robots.{name}.sensors.{frame}", own, source))
+    for dotted, own, source in tables:
+        given = [name for name in ("translation", "rotation") if name in own]
+        if given and source == "transform":
+            where = "" if "extrinsics" in own else " in the general table of that frame"
+            return f'{dotted}: {" and ".join(given)} can\'t be set beside extrinsics = "transform"{where}; keep one'
+    return None
 
 
 def _as_it_is(value: object) -> object:

@@ -16,7 +16,6 @@ import zenoh
 from roughmap_schemas import Config, Keys, configuration_digest
 from roughmap_schemas.config_load import LoadedConfig
 from roughmap_schemas.faults import ReportedError
-from roughmap_schemas.messages import LogState
 from roughmap_service.answers.emptied_tiles import EmptiedHistory
 from roughmap_service.answers.events import EventPublisher
 from roughmap_service.answers.map_reader import MapReader
@@ -37,6 +36,7 @@ from roughmap_service.host.log_lines import note
 from roughmap_service.http.server import HttpServer
 from roughmap_service.inputs.queue import InputQueue
 from roughmap_service.inputs.receipts import ReceiptSender
+from roughmap_service.inputs.ros2 import Ros2Inputs, prepare
 from roughmap_service.inputs.session import bound_messages, check_exposure, claim, endpoints, open_session, zenoh_config
 from roughmap_service.inputs.streams import Streams
 from roughmap_service.inputs.subscriptions import ZenohInputs
@@ -90,6 +90,7 @@ def serve(
     directory, store = Path(config.log.directory), Store(Path(config.store.path)) if config.store.path else None
     session_config = zenoh_config(loaded)
     bound_messages(session_config, config.input.max_message)
+    prepare(session_config, config)
     check_exposure(session_config, loaded, insecure=insecure)
     with ExitStack() as stack:
         stack.enter_context(locked(directory, None if store is None else store.path))
@@ -259,8 +260,9 @@ class Service:
     def _start_answers(self, stack: ExitStack) -> None:
         config, view, keys, served = self._config, self._view, self._keys, self._served
         self._parts = RunningParts(
-            self._sequencer, self._writer, self._queue, self._snapshots, self._memory, self._counters, self._streams
-        )
+            self._sequencer, self._writer, self._queue, self._snapshots, self._memory, self._counters, self._streams,
+            config.log.keep,
+        )  # fmt: skip
         self._status = Status(view, self._counters, config, served, version("roughmap"), self._progress)
         control = Control(self._sequencer, self._snapshots, self._take_snapshot)
         records = OutputRecords(self._writer, keys, self._counters, queries=config.log.queries)
@@ -282,9 +284,9 @@ class Service:
             newest_stamp_ns=self._run.newest_stamp_ns,
             waiting=len(self._run.clouds),
             problems=self._parts.problems(),
-            lost=self._streams.problems(),
+            lost=self._parts.lost(),
             recent=self._streams.recent.told(),
-            log=LogState(file=str(self._writer.path), bytes=self._writer.size, ok=self._writer.ok),
+            log=self._parts.log_state(),
         )
 
     def _let_messages_in(self, stack: ExitStack) -> None:
@@ -293,6 +295,10 @@ class Service:
         stack.enter_context(
             ZenohInputs(self._session, self._keys, self._queue, self._receipts, limit, self._counters, self._streams)
         )
+        if self._config.ros2.active:
+            self._parts.ros2 = stack.enter_context(
+                Ros2Inputs(self._session, self._config, self._queue, self._counters, self._streams)
+            )
 
     def _show(self, stack: ExitStack) -> None:
         connect_pages(self._parts, self._answers, self._sources, self._status, self._config)

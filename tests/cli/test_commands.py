@@ -90,7 +90,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         (["simulate", "--connect", "7447"], "PROTOCOL/ADDRESS"),
         (["query", "--bbox", "0,0,1,1", "--connect", "localhost:7447"], "PROTOCOL/ADDRESS"),
         (["build", "absent.npz", "-o", "map.db"], "absent.npz"),
-        (["build"], "CLOUDS"),
+        (["build"], "RECORDINGS"),
         (["config", "check", "--set", "map.cell_size"], "KEY=VALUE"),
         (["config", "check", "--set", "map.cell_size=-1"], "map.cell_size"),
         (["config", "check", "--set", "map.colour=red"], "map.colour"),

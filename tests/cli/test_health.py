@@ -53,6 +53,35 @@ def test_what_happened_lately_is_no_failure(capsys: pytest.CaptureFixture[str]) 
     assert json.loads(as_json)["recent"] == ["robot r1: its pose leapt 2.50 m (3 s ago)"]
 
 
+GROWING = LogState(bytes_per_hour=3_200_000_000, hours_to_full_disk=41.2)
+BOUNDED = LogState(bytes_per_hour=3_200_000_000, keep=20_000_000_000)
+
+
+@pytest.mark.parametrize(
+    ("log", "said"),
+    [
+        (LogState(), []),
+        (GROWING, ["site: log: 3.2 GB an hour, the disk is full in 41 hours"]),
+        (BOUNDED, ["site: log: 3.2 GB an hour, bounded to 20.0 GB by log.keep"]),
+    ],
+)
+def test_what_the_log_costs_is_told_last(log: LogState, said: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """By the page and over Zenoh alike."""
+    readiness = Readiness()
+    readiness.become(dict)
+    with Served() as served, pages(Sources(readiness, log=lambda: log)) as server:
+        served.progress = RunProgress(log=log)
+        by_zenoh = ["--set", f'zenoh.listen=["{locators(served.server)[0]}"]']
+        for where, more in ((server.url.removeprefix("http://"), []), ('""', by_zenoh)):
+            assert health(where, *more) == 0
+            assert capsys.readouterr().out.splitlines() == ["site: ok", *said]
+            assert health(where, *more, "--json") == 0
+            told = json.loads(capsys.readouterr().out)["log"]
+            assert told == {
+                "bytes_per_hour": log.bytes_per_hour, "hours_to_full_disk": log.hours_to_full_disk, "keep": log.keep,
+            }  # fmt: skip
+
+
 def test_nobody_there_is_a_failure_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 import zenoh
+from bag_writers import drive, write_sqlite
 from net import Gathered, open_listener
 from recordings import STAMPS_S, write_recording
 
 from roughmap_schemas.cloud import decode_cloud
 from roughmap_schemas.encodings import ODOMETRY, POINT_CLOUD
+from roughmap_schemas.kinds import Kind, RobotMessage
 from roughmap_schemas.odometry import decode_odometry
 from roughmap_service.cli.main import run
+from roughmap_service.formats.clouds import read_cloud
 
 Heard = tuple[str, bytes, int, str]
 """Key, payload, message_seq, encoding."""
@@ -106,10 +109,20 @@ def test_a_recording_is_played_under_the_names_given(tmp_path: Path, capsys: pyt
         assert np.array_equal(pose.position, recorded["pose"][k, :3, 3])
 
 
+def test_the_messages_of_a_bag_go_out_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = write_sqlite(tmp_path / "bag", drive(1.0))
+    recorded = [part for part in read_cloud(bag) if isinstance(part, RobotMessage)]
+    report, messages = simulated(["--from", str(bag), "--robot", "r1", "--rate", "0", "--json"], len(recorded), capsys)
+    assert (report["clouds"], report["poses"]) == (10, 60)
+    keys = by_key(messages)
+    for kind in Kind.POINTS, Kind.ODOMETRY, Kind.TRANSFORM:
+        assert [m[1] for m in keys[f"robots/r1/{kind}"]] == [m.payload for m in recorded if m.kind is kind]
+
+
 @pytest.mark.parametrize(
     ("arrays", "said"),
     [
-        ({"points": np.zeros((3, 3))}, "scan_start and pose"),
+        ({"points": np.zeros((3, 2))}, "numeric points"),
         ({"points": np.zeros((3, 3)), "scan_start": np.array([0, 9]), "pose": np.eye(4)[None]}, "at most 3"),
     ],
 )

@@ -65,6 +65,8 @@ SETTINGS: tuple[dict[str, Any], ...] = (
     {"robots": {"r1": {"pose_covariance": "configured"}}, "sensors": {"camera": {"range_sigma": 0.3}}},
     {"map": {"keep": {"radius": 4.0, "age": 6.0}, "clear_interval": 1.0}},
     {"map": {"clear_interval": 0.0}, "robots": {"r2": {"pose_error_time": 60.0}}},
+    {"sensors": {"lidar": {"range_sigma": 0.01, "extrinsics": "transform"}}},
+    {"robots": {"r1": {"sensors": {"camera": {"range_sigma": 0.02, "extrinsics": "transform"}}}}},
 )
 
 
@@ -175,6 +177,11 @@ class Play:
         stamp_ns = T0 + max(round((sender.time + sender.shift + stamp) * 1e9), 0)
         self.accept(Kind.TRANSFORM, robot, encode_transform(stamp_ns, "map", "odom", (x, 0.0, 0.0), LEVEL))
 
+    def mount(self, robot: str, sensor: int, stamp: float, x: float) -> None:
+        """Tell where a sensor is mounted, whether its settings ask for it or not; stamp 0: the same bytes each time."""
+        stamp_ns = T0 + round(stamp * 1e9) if stamp else 0
+        self.accept(Kind.TRANSFORM, robot, encode_transform(stamp_ns, "base", FRAMES[sensor], (x, 0.1, 0.0), LEVEL))
+
     def again(self, back: int) -> None:
         """Send the last messages again: a recording that is played twice."""
         for kind, robot, payload in self.sent[-back:]:
@@ -253,6 +260,7 @@ STEPS = st.one_of(
     st.tuples(st.just("leap_sensor"), robots, leaps),
     st.tuples(st.just("change_form"), robots, st.integers(0, 1), st.sampled_from(FORMS)),
     st.tuples(st.just("transform"), robots, leaps, st.sampled_from([0.0, 0.5, 1e308])),
+    st.tuples(st.just("mount"), robots, st.integers(0, 1), st.just(0.0) | leaps, st.sampled_from([0.0, 0.5, 1e308])),
     st.tuples(st.just("again"), st.integers(1, 60)),
     st.tuples(st.just("decide"), st.sampled_from([0.0, 0.2, 1.0, 3.0])),
     st.tuples(st.just("reset")),
@@ -260,6 +268,33 @@ STEPS = st.one_of(
     st.tuples(st.just("snapshot")),
     st.tuples(st.just("restart"), st.integers(0, len(SETTINGS) - 1), st.booleans()),
 )
+
+
+MOUNTED: dict[str, list[tuple[Any, ...]]] = {
+    "before the cut": [
+        ("restart", 7, False), ("mount", "r1", 0, 0.0, 0.5), ("go", "r1", 8, 1, 0.0), ("snapshot",),
+        ("go", "r1", 4, 1, 0.0),
+    ],
+    "after the cut": [
+        ("restart", 7, False), ("go", "r1", 4, 1, 0.0), ("snapshot",), ("mount", "r1", 0, 0.0, 0.5),
+        ("go", "r1", 4, 1, 0.0),
+    ],
+    "while clouds wait for poses": [
+        ("restart", 7, False), ("go", "r1", 4, 0, 0.0), ("mount", "r1", 0, 0.0, 0.5), ("snapshot",),
+        ("go", "r1", 4, 1, 0.0), ("mount", "r1", 0, 0.0, 0.0), ("decide", 0.1), ("mount", "r1", 0, 0.0, 0.5),
+    ],
+    "of one robot alone, then of both": [
+        ("restart", 8, False), ("mount", "r1", 1, 0.0, 0.5), ("mount", "r2", 1, 0.0, 0.5), ("go", "r1", 6, 1, 0.0),
+        ("go", "r2", 6, 1, 0.0), ("restart", 7, True), ("again", 60), ("mount", "r1", 0, 0.0, 0.5),
+        ("go", "r1", 6, 1, 0.0), ("rotate",), ("snapshot",),
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MOUNTED)
+@pytest.mark.parametrize("last", [0, 7, 8])
+def test_mountings_are_those_before_the_kill(case: str, last: int, tmp_path: Path) -> None:
+    finish(Play(tmp_path), MOUNTED[case], last)
 
 
 def forms_found(form: str) -> list[tuple[Any, ...]]:

@@ -9,7 +9,6 @@ from roughmap_schemas.cloud import decode_cloud
 from roughmap_schemas.odometry import decode_odometry
 from roughmap_service.formats import npz, text
 from roughmap_service.formats.clouds import read_cloud
-from roughmap_service.formats.npz import read_scans
 from roughmap_service.formats.recorded import CloudFileFault, PlacedPoints, RecordedScan
 from roughmap_service.simulation.playing import recorded_messages
 
@@ -32,8 +31,14 @@ def scans(folder: Path, **other: object) -> Path:
     return write(folder, **(arrays | other))
 
 
+def scans_of(file: Path) -> list[RecordedScan]:
+    found = list(read_cloud(file))
+    assert all(isinstance(part, RecordedScan) for part in found)
+    return found  # type: ignore[return-value]  # as asserted
+
+
 def test_scans_of_whole_millimetres(tmp_path: Path) -> None:
-    first, second = read_scans(scans(tmp_path))
+    first, second = scans_of(scans(tmp_path))
     assert np.array_equal(first.points, [[0, 1, 2], [3, 4, 5]])
     assert (first.stamp_ns, second.stamp_ns) == (1_500_000_000, 2_000_000_000)
     assert len(second.points) == 3
@@ -128,7 +133,7 @@ def test_an_empty_text_file_has_no_points(tmp_path: Path) -> None:
 def test_scans_that_are_none(tmp_path: Path, other: dict[str, object], said: str) -> None:
     file = scans(tmp_path, **other)
     with pytest.raises(CloudFileFault, match=said) as caught:
-        list(read_scans(file))
+        scans_of(file)
     assert str(file) in str(caught.value)
 
 
@@ -151,9 +156,11 @@ def test_files_that_are_no_clouds(tmp_path: Path, name: str, content: bytes, sai
         list(read_cloud(file))
 
 
-def test_placed_points_are_no_scans_to_play(tmp_path: Path) -> None:
-    with pytest.raises(CloudFileFault, match="scan_start and pose"):
-        list(read_scans(write(tmp_path, points=np.zeros((3, 3)))))
+def test_placed_points_are_played_as_clouds_in_the_map_frame(tmp_path: Path) -> None:
+    stamps = np.array([5, 7], np.int64)
+    (message,) = recorded_messages(write(tmp_path, points=np.array([[1, 2, 3.5], [4, 5, 6]]), stamp_ns=stamps))
+    cloud = decode_cloud(message.payload, max_message=1 << 16, max_points=9)
+    assert (cloud.frame_id, cloud.stamp_ns, cloud.points.tolist()) == ("map", 5, [[1, 2, 3.5], [4, 5, 6]])
 
 
 def test_a_single_array_is_no_archive(tmp_path: Path) -> None:

@@ -11,9 +11,8 @@ from properties import examples
 from scipy.spatial.transform import Rotation
 
 from roughmap_service.formats.clouds import read_cloud
-from roughmap_service.formats.npz import read_scans
 from roughmap_service.formats.poses import check_poses
-from roughmap_service.formats.recorded import CloudFileFault
+from roughmap_service.formats.recorded import CloudFileFault, RecordedScan
 
 Floats = npt.NDArray[np.float64]
 FILE = Path("scans.npz")
@@ -59,7 +58,7 @@ def test_what_is_wrong_is_said(tmp_path: Path, bad: Floats, said: str) -> None:
     file = tmp_path / "scans.npz"
     np.savez(file, points=np.ones((3, 3)), scan_start=np.arange(4), pose=np.array([pose(), pose(), bad]))
     with pytest.raises(CloudFileFault) as caught:
-        list(read_scans(file))
+        list(read_cloud(file))
     message = str(caught.value)
     assert message.startswith(f"{file}: pose 2 (counted from 0): {said}")
     assert "\n" not in message
@@ -152,4 +151,4 @@ def test_stamps_in_other_units(tmp_path: Path, stamps: dict[str, object], said: 
 def test_stamps_that_are_right(tmp_path: Path, stamps: dict[str, object], expected: list[int]) -> None:
     file = tmp_path / "scans.npz"
     np.savez(file, points=np.ones((2, 3)), scan_start=np.arange(3), pose=np.array([pose(), pose()]), **stamps)  # type: ignore[arg-type]
-    assert [scan.stamp_ns for scan in read_scans(file)] == expected
+    assert [scan.stamp_ns for scan in read_cloud(file) if isinstance(scan, RecordedScan)] == expected

@@ -13,6 +13,7 @@ from roughmap_service.http.server import HttpError, HttpServer, PortTaken
 from roughmap_service.watch.readiness import Problem, Readiness, Sources
 
 TOKEN = "a token of twenty-four"
+UNKNOWN = {"bytes_per_hour": None, "hours_to_full_disk": None, "keep": None}
 
 
 def sources_with(problems: dict[Problem, str]) -> Sources:
@@ -37,10 +38,11 @@ def test_readiness_names_what_is_wrong(problem: Problem) -> None:
         ready = problem in (Problem.SNAPSHOT_FAILED, Problem.INPUT_LOST)  # it takes in and answers all the same
         assert status == (200 if ready else 503)
         assert headers["content-type"] == "application/json"
-        assert json.loads(body) == {"ready": ready, "problems": {str(problem): "the cause"}, "recent": []}
+        found = {"problems": {str(problem): "the cause"}, "recent": [], "log": UNKNOWN}
+        assert json.loads(body) == {"ready": ready, **found}
         problems.clear()
         status, _, body = get(server, "/readyz")
-        assert (status, json.loads(body)) == (200, {"ready": True, "problems": {}, "recent": []})
+        assert (status, json.loads(body)) == (200, {"ready": True, "problems": {}, "recent": [], "log": UNKNOWN})
 
 
 def test_every_answer_carries_the_headers_and_none_says_what_serves_it() -> None:

@@ -1,6 +1,7 @@
 """A service that runs: its pages, its log lines, `health` and `top`, beside the status that it gives over Zenoh."""
 
 import json
+import shutil
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -80,6 +81,27 @@ def test_the_pages_say_what_the_status_says(live: Running) -> None:
     assert b"<h1>roughmap" in live.page("/")
 
 
+def test_what_the_log_costs_is_told_once_it_is_known(
+    live: Running, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the status, the page, the metrics, `health` and `top`; by then the service has run for 10 s."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ROUGHMAP_HTTP__TOKEN", TOKEN)
+    wait_until(lambda: live.feed.client.status().log.bytes_per_hour is not None, "the log's growth")
+    status = live.feed.client.status()
+    assert status.uptime_s >= 10.0
+    page = json.loads(live.page("/readyz"))["log"]
+    assert page["keep"] is status.log.keep is None
+    assert page["bytes_per_hour"] >= 0
+    assert live.metric("roughmap_log_bytes_per_hour") >= 0
+    if page["bytes_per_hour"]:
+        free = shutil.disk_usage(tmp_path).free
+        assert page["hours_to_full_disk"] == pytest.approx(free / page["bytes_per_hour"], rel=0.1)
+    for command, more, listen in (("health", (), live.url.removeprefix("http://")), ("top", ("--once",), '""')):
+        assert asked(live, command, *more, listen=listen) == 0
+        assert " an hour" in capsys.readouterr().out
+
+
 def asked(live: Running, command: str, *arguments: str, listen: str) -> int:
     return run([command, *arguments, "--set", f'zenoh.listen=["{live.endpoint}"]', "--set", f"http.listen={listen}"])
 
@@ -92,7 +114,7 @@ def test_health_asks_the_page_or_over_zenoh(
         assert asked(live, "health", listen=listen) == 0
         first, *rest = capsys.readouterr().out.splitlines()
         assert first == "site: ok", listen
-        assert all(line.startswith("site: recently: robot rover1: ") for line in rest)
+        assert all(line.startswith(("site: recently: robot rover1: ", "site: log: ")) for line in rest)
     assert asked(live, "health", "--set", "map.name=other", "--json", listen='""') == 1
     told = json.loads(capsys.readouterr().out)
     assert told["works"] is False

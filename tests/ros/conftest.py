@@ -8,6 +8,8 @@ from environments import OTHERS, THIS
 from net import locators, peer_config
 from ros_processes import Peer, Ros, environment, peer
 
+sys.path.append(str(Path(__file__).parents[1] / "ros_bridge"))  # the simulated rover as ROS messages
+
 
 @pytest.fixture(scope="session")
 def ros(request: pytest.FixtureRequest) -> Ros:

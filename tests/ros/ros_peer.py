@@ -99,6 +99,12 @@ class Peer:
         publisher.publish(raw)
         return {"cdr": base64.b64encode(raw).decode()}
 
+    def publish_cdr(self, command: dict[str, Any]) -> dict[str, Any]:
+        """Publish serialised messages, in order."""
+        for topic, payload in command["messages"]:
+            self.publishers[topic].publish(base64.b64decode(payload))
+        return {}
+
     def subscribe(self, command: dict[str, Any]) -> dict[str, Any]:
         topic = command["topic"]
         self.heard[topic] = []

@@ -100,7 +100,14 @@ STATUS: dict[str, Any] = {
     "memory_bytes": 1 << 28,
     "tiles": {"resident": 5, "spilled": 0},
     "forgotten": 3,
-    "log": {"file": "a.mcap", "bytes": 123, "ok": True},
+    "log": {
+        "file": "a.mcap",
+        "bytes": 123,
+        "ok": True,
+        "bytes_per_hour": 10**9,
+        "hours_to_full_disk": 2.5,
+        "keep": None,
+    },
     "uptime_s": 12.5,
 }
 

@@ -89,6 +89,52 @@ def test_robots_and_sensors_of_a_file(file: Path) -> None:
     assert loaded.sources["robots.Rover.sensors.lidar.beam_sigma"] == "default"
 
 
+BY_TRANSFORM = 'extrinsics = "transform"'
+BESIDE = f"can't be set beside {BY_TRANSFORM}"
+
+
+@pytest.mark.parametrize(
+    ("general", "own", "said"),
+    [
+        (f"translation = [0, 0, 1]\n{BY_TRANSFORM}", None, f"sensors.lidar: translation {BESIDE}; keep one"),
+        (f"rotation = [0, 0, 0, 1]\n{BY_TRANSFORM}", "", f"sensors.lidar: rotation {BESIDE}; keep one"),
+        (
+            "",
+            f"{BY_TRANSFORM}\ntranslation = [0, 0, 1]\nrotation = [0, 0, 0, 1]",
+            f"robots.r1.sensors.lidar: translation and rotation {BESIDE}; keep one",
+        ),
+        (
+            BY_TRANSFORM,
+            "translation = [0, 0, 1]",
+            f"robots.r1.sensors.lidar: translation {BESIDE} in the general table of that frame; keep one",
+        ),
+    ],
+)
+def test_a_mounting_has_one_source(tmp_path: Path, general: str, own: str | None, said: str) -> None:
+    path = tmp_path / "two.toml"
+    robots = "" if own is None else f"[robots.r1.sensors.lidar]\n{own}\n"
+    path.write_text(f"[sensors.lidar]\nrange_sigma = 0.1\n{general}\n{robots}")
+    assert fault(path) == f"{path}: {said}"
+
+
+@pytest.mark.parametrize(
+    ("general", "own", "source", "place"),
+    [
+        ("translation = [0, 0, 1]", BY_TRANSFORM, "transform", (0.0, 0.0, 1.0)),  # it is not looked at
+        (BY_TRANSFORM, 'extrinsics = "configured"\ntranslation = [0, 0, 2]', "configured", (0.0, 0.0, 2.0)),
+        (BY_TRANSFORM, "range_sigma = 0.2", "transform", (0.0, 0.0, 0.0)),
+    ],
+)
+def test_a_robot_may_have_another_source_of_a_mounting(
+    tmp_path: Path, general: str, own: str, source: str, place: tuple[float, ...]
+) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text(f"[sensors.lidar]\nrange_sigma = 0.1\n{general}\n[robots.r1.sensors.lidar]\n{own}\n")
+    sensor = load_config(path).config.sensor("r1", "lidar")
+    assert sensor is not None
+    assert (sensor.extrinsics, sensor.translation) == (source, place)
+
+
 def test_the_source_of_a_robots_sensor_whose_name_has_dots(tmp_path: Path) -> None:
     path = tmp_path / "dots.toml"
     path.write_text('sensors."os.top".range_sigma = 0.1\n[robots."a.b".sensors."os.top"]\nbeam_sigma = 0.2')

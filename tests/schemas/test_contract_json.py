@@ -149,7 +149,7 @@ def test_the_reasons_of_the_contract() -> None:
     assert " ".join(PointReason) == points
     assert set(CloudReason) == {
         *("pose_gap", "pose_jump", "no_pose", "late", "too_many_tiles", "empty", "overload", "clock_reset"),
-        *("clock_offset", "time_form"),
+        *("clock_offset", "time_form", "no_extrinsics"),
     }
     assert set(PoseReason) == {
         *("duplicate", "stale", "ahead", "out_of_order", "frozen", "pose_frame", "bad_covariance")

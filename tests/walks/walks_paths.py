@@ -4,6 +4,6 @@ import sys
 from pathlib import Path
 
 TESTS = Path(__file__).parents[1]
-for folder in (TESTS, TESTS / "walks"):
+for folder in (TESTS, TESTS / "walks", TESTS / "ros_bridge"):
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))

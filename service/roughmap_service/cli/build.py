@@ -1,27 +1,29 @@
-"""`roughmap build`: make a map.db from recorded clouds, integrated as a service would."""
+"""`roughmap build`: make a map.db from recordings, integrated as a service would."""
 
 import json
+import threading
 import time
 import uuid
-from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from roughmap_service.cli.figures import metres
 from roughmap_service.cli.options import BadUse, config_options, json_option, load
+from roughmap_service.cli.reading import only_robot, read_options, reading_options
 from roughmap_service.host.log_lines import printable
 
 if TYPE_CHECKING:
-    from roughmap import AddReport, RoughMap
-    from roughmap_service.formats.recorded import PlacedPoints, RecordedScan
-    from roughmap_service.run.sensor_clock import SensorClock
-    from roughmap_service.run.settings import Settings
+    from collections.abc import Callable, Mapping
+
+    from roughmap import RoughMap
+    from roughmap_service.offline.building import Built, Watch
+    from roughmap_service.offline.building import Progress as Far
 
 
 @click.command
-@click.argument("clouds", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
 @click.option(
     "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="The map.db to write."
 )
@@ -37,23 +39,35 @@ if TYPE_CHECKING:
     type=click.FloatRange(0, 10, min_open=True),
     help="Range noise in metres, for scans of a sensor that is not configured.",
 )
+@click.option("--robot", help="Robot that the recordings are of. [default: the only one in ros2.robots]")
+@reading_options
 @config_options
 @json_option
 def build(
-    clouds: tuple[Path, ...],
+    recordings: tuple[Path, ...],
     output: Path,
     force: bool,
     sensor: str,
     range_sigma: float | None,
+    robot: str | None,
     config_path: Path | None,
     settings: tuple[tuple[str, object], ...],
     as_json: bool,
+    **reading: object,
 ) -> None:
     """echo '0 0 1.5' > points.xyz && roughmap build points.xyz -o map.db
 
-    Make a map from recorded clouds, in the order given. `roughmap serve` continues from it if `store.path` names it.
+    Make a map from recordings, in the order given. `roughmap serve` continues from it if `store.path` names it.
 
     \b
+    bags of ROS           rosbag2 folders, .mcap, .db3, and .bag of ROS 1: clouds, odometry
+                          and tf are found by their types, and mapped as a service would
+    .mcap                 also of Foxglove's messages, and roughmap's own logs
+    .las .laz             surveyed points in the map frame, or by gps_time with --scan-seconds;
+                          noise and withheld points are left out
+    .ply .pcd             points in the map frame; a PCD's VIEWPOINT is the pose of a scan
+    folders of scans      of KITTI (velodyne, poses.txt, calib.txt), or of .ply, .pcd, .npz
+                          and .xyz files with --poses; a name that is a stamp finds the pose
     .xyz .csv .txt .asc   points in the map frame, one per line, in metres: the columns
                           that a header names (x, y, z or Easting, Northing, Elevation),
                           or the first three
@@ -67,117 +81,108 @@ def build(
 
     Points in the map frame without a covariance get `input.placed_sigma`; those whose height stands for "no data", such
     as -9999, are counted as `no_data` and left out. What can't be read, or could be read in two ways, ends the command
-    with the number of the line or pose, and no map is written.
+    with the number of the line or pose, and no map is written. Ctrl-C writes the map of what was read so far.
+
+    `roughmap build my_bag -o map.db --range-sigma 0.03` maps a bag without a configuration: its sensors are where tf
+    says. Poses in a frame without a way to `map.frame_id` are mapped in their own.
     """
     from roughmap_schemas.config import configuration_digest
-    from roughmap_service.run.settings import Settings, new_map
+    from roughmap_service.offline.building import Wanted, build_map
     from roughmap_service.store.map_db import Store
 
     config = load(config_path, settings).config
     if output.exists() and not force:
         raise BadUse(f"{output} exists; choose another name, or use --force to replace it")
     begun = time.monotonic()
-    built = new_map(config)
-    points, rejected, warnings = _fill(built, clouds, Settings(config), sensor, range_sigma)
-    for warning in warnings:
+    name = only_robot(config, robot)
+    options = read_options(config, name, reading, any_sensor=range_sigma is not None)
+    wanted, stop = Wanted(name, sensor, range_sigma), threading.Event()
+    crs = _crs(recordings)
+    built = _watched(stop, lambda watch: build_map(recordings, config, options, wanted, watch, stop))
+    for warning in built.warnings:
         click.echo(f"roughmap: warning: {printable(warning)}", err=True)
     for stale in (output, *(output.with_name(output.name + end) for end in ("-wal", "-shm"))):
         stale.unlink(missing_ok=True)
-    Store(output).write_map(built, config.public_dict(), configuration_digest(config), uuid.uuid4().hex)
-    seconds = time.monotonic() - begun
+    settled = built.config
+    Store(output).write_map(built.map, settled.public_dict(), configuration_digest(settled), uuid.uuid4().hex, crs)
+    extent = built.map.extent()
     report = {
         "output": str(output),
-        "points": points,
-        "accepted": points - sum(rejected.values()),
-        "rejected": rejected,
-        "tiles": built.tile_count,
-        "extent": built.extent(),
-        "sequence": built.sequence,
-        "digest": built.digest(),
-        "seconds": seconds,
-        "warnings": warnings,
+        "points": built.points,
+        "accepted": built.accepted,
+        "rejected": dict(built.rejected),
+        "clouds": dict(built.clouds),
+        "poses": dict(built.poses),
+        "refused": dict(built.refused),
+        "tiles": built.map.tile_count,
+        "extent": extent,
+        "sequence": built.map.sequence,
+        "digest": built.map.digest(),
+        "seconds": time.monotonic() - begun,
+        "interrupted": built.interrupted,
+        "warnings": built.warnings,
     }
     if as_json:
         click.echo(json.dumps(report))
-        return
-    reasons = ", ".join(f"{count:,} {reason}" for reason, count in rejected.items())
-    click.echo(
-        f"{report['accepted']:,} of {points:,} points integrated" + (f"; rejected: {reasons}" if reasons else "")
-    )
-    if extent := built.extent():
-        xmin, ymin, xmax, ymax = map(metres, extent)
-        click.echo(f"tiles from x {xmin} to {xmax} m, y {ymin} to {ymax} m")
-    tiles = f"{built.tile_count} {'tile' if built.tile_count == 1 else 'tiles'}"
-    click.echo(f"{output}: {tiles}, digest {report['digest']}, in {seconds:.1f} s")
+    else:
+        _print(report, extent)
+    if built.interrupted:
+        click.echo(f"roughmap: interrupted; {output} holds what was read until then", err=True)
+        click.get_current_context().exit(130)
 
 
-def _fill(
-    built: "RoughMap", clouds: tuple[Path, ...], settings: "Settings", sensor: str, range_sigma: float | None
-) -> tuple[int, dict[str, int], list[str]]:
-    """Integrate all files; return the number of points, the rejected ones by reason, and warnings."""
+def _crs(recordings: tuple[Path, ...]) -> str | None:
+    """Return the coordinate reference system of all recordings that state one; BadUse if they state different ones."""
+    from roughmap_service.formats.crs import crs_of
+
+    found = {crs: path for path in recordings if (crs := crs_of(path)) is not None}
+    if len(found) > 1:
+        paths = " and ".join(str(path) for path in list(found.values())[:2])
+        raise BadUse(f"{paths} are in different coordinate reference systems; project them to one")
+    return next(iter(found), None)
+
+
+def _watched(stop: threading.Event, build: "Callable[[Watch], Built]") -> "Built":
+    """Build with a line that shows the progress, on a terminal; Ctrl-C sets `stop`."""
     from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from roughmap_service.formats.clouds import read_cloud
-    from roughmap_service.formats.doubts import Doubts, without_no_data
-    from roughmap_service.formats.recorded import PlacedPoints
-    from roughmap_service.run.sensor_clock import SensorClock
+    from roughmap_service.offline.building import interrupting
 
-    points, clock = 0, SensorClock()
-    warnings: list[str] = []
-    rejected: Counter[str] = Counter()
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(elapsed_when_finished=True))
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("reading")
-        for number, file in enumerate(clouds, 1):
-            doubts = Doubts()
-            for read in read_cloud(file):
-                part = without_no_data(read) if isinstance(read, PlacedPoints) else read
-                doubts.take(part.points if isinstance(part, PlacedPoints) else part.position[None])
-                points += len(read.points)
-                rejected.update({"no_data": missing} if (missing := len(read.points) - len(part.points)) else {})
-                if len(part.points) or not missing:
-                    rejected.update(_add(built, part, settings, sensor, range_sigma, clock).rejected)
-                where = f"file {number} of {len(clouds)}, {file.name}"
-                progress.update(task, description=f"{where}: {points:,} points, {built.tile_count} tiles")
-            warnings += (f"{file}: {doubt}" for doubt in doubts.found(built.cell_size))
-    return points, dict(rejected), warnings
+        task = progress.add_task("reading", total=1.0)
+
+        def watch(far: "Far", rough_map: "RoughMap") -> None:
+            where = f"file {far.number}, {far.name}: {far.points:,} points, {far.rate / 1e6:.1f} million/s"
+            progress.update(task, completed=far.share, description=f"{where}, {rough_map.tile_count} tiles")
+
+        with interrupting(stop):
+            return build(watch)
 
 
-def _add(
-    built: "RoughMap",
-    part: "RecordedScan | PlacedPoints",
-    settings: "Settings",
-    sensor: str,
-    range_sigma: float | None,
-    clock: "SensorClock",
-) -> "AddReport":
-    import numpy as np
+def _counted(counts: "Mapping[str, int]", first: str) -> str:
+    """Return the counts by reason without the one named `first`, largest first."""
+    others = sorted(((number, reason) for reason, number in counts.items() if reason != first), reverse=True)
+    return ", ".join(f"{number:,} {reason}" for number, reason in others)
 
-    from roughmap import Limits, Noise, Scan, Trajectory
-    from roughmap_service.formats.recorded import PlacedPoints
 
-    if isinstance(part, PlacedPoints):
-        covariance = settings.placed_covariance if part.covariance is None else part.covariance
-        # How much of a point's error it shares with others is not in the file: all of it, to be safe.
-        shared = np.nan_to_num(np.asarray(covariance)[..., 2, 2], nan=0.0, posinf=0.0)
-        return built.add(part.points, covariance, part.stamp_ns, common=shared)
-    if range_sigma is not None:
-        noise, limits = Noise(range_sigma), Limits()
-    else:
-        configured = settings.sensor("", sensor)
-        if configured is None:
-            raise BadUse(
-                f"[sensors.{sensor}] is not configured: add it to the configuration, or use --range-sigma METRES"
-            )
-        noise, limits = configured.noise, configured.limits
-    # The recorded pose is the sensor's, so the sensor's place on the robot does not matter.
-    trajectory = Trajectory(
-        np.array([part.stamp_ns]), part.position[None], part.rotation[None], settings.pose_covariance[None]
+def _print(report: dict[str, Any], extent: tuple[float, float, float, float] | None) -> None:
+    reasons = ", ".join(f"{count:,} {reason}" for reason, count in report["rejected"].items())
+    click.echo(
+        f"{report['accepted']:,} of {report['points']:,} points integrated"
+        + (f"; rejected: {reasons}" if reasons else "")
     )
-    clear = settings.clears and clock.clears(part.stamp_ns, settings.clear_interval_ns)
-    report = built.add_scan(Scan(part.points, part.stamp_ns), trajectory, noise, limits, clear=clear)
-    if clear and report.accepted:
-        clock.cleared_ns = part.stamp_ns
-    return report
+    for what, first, done in (("clouds", "integrated", "integrated"), ("poses", "taken", "taken")):
+        if counts := report[what]:
+            lost = _counted(counts, first)
+            line = f"{counts.get(first, 0):,} of {sum(counts.values()):,} {what} {done}"
+            click.echo(line + (f"; rejected: {lost}" if lost else ""))
+    if refused := _counted(report["refused"], ""):
+        click.echo(f"messages refused: {refused}")
+    if extent is not None:
+        xmin, ymin, xmax, ymax = map(metres, extent)
+        click.echo(f"tiles from x {xmin} to {xmax} m, y {ymin} to {ymax} m")
+    tiles = f"{report['tiles']} {'tile' if report['tiles'] == 1 else 'tiles'}"
+    click.echo(f"{report['output']}: {tiles}, digest {report['digest']}, in {report['seconds']:.1f} s")

@@ -5,14 +5,17 @@ Containers run it every few seconds, so it imports nothing heavy while http is o
 
 import http.client
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
 from roughmap_schemas.config import Config
 from roughmap_schemas.config_load import LoadedConfig
+from roughmap_schemas.messages import LogState
 from roughmap_service.cli.options import Failure, config_options, json_option, load, reachable
+from roughmap_service.host.log_growth import GROWTH, growth_text
 from roughmap_service.host.log_lines import printable
 from roughmap_service.http.token import HttpError, token_of
 from roughmap_service.watch.readiness import NOT_BLOCKING, SUBJECTS, Problem
@@ -25,8 +28,13 @@ WORKS = {str(problem) for problem in (Problem.OVERLOADED, *NOT_BLOCKING)}
 MAX_ANSWER = 1 << 20
 """Bytes of an answer that are read; a readiness page is smaller."""
 
-Found = tuple[dict[str, str], list[str]]
-"""The problems, each with its cause, and what happened lately."""
+
+class Found(NamedTuple):
+    """The problems, each with its cause, what happened lately, and how the log grows."""
+
+    problems: dict[str, str]
+    recent: Sequence[str] = ()
+    log: LogState = LogState()
 
 
 @click.command
@@ -36,9 +44,10 @@ def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], a
     """roughmap health
 
     Check that the service of this configuration works, and print a line for each problem, or ok. Lines that begin with
-    "recently" tell what happened to a robot or a sensor within the last minute. Exit code 0 if it works; 1 if it is
-    not reachable, not ready or can't write its log. An overloaded service works, and so does one that can't write its
-    store (its log has everything), or to which a robot sends what it can't use.
+    "recently" tell what happened to a robot or a sensor within the last minute; the line that begins with "log" tells
+    how fast the log grows, and when its disk is full. Exit code 0 if it works; 1 if it is not reachable, not ready or
+    can't write its log. An overloaded service works, and so does one that can't write its store (its log has
+    everything), or to which a robot sends what it can't use.
 
     The check reads the page /readyz. If http.listen is off or its port is 0, it asks over Zenoh.
     """
@@ -47,16 +56,19 @@ def health(config_path: Path | None, settings: tuple[tuple[str, object], ...], a
     listen = config.http.listen
     by_http = listen is not None and not listen.endswith(":0")
     try:
-        problems, recent = _ask_page(config) if by_http else _ask_status(loaded)
+        problems, recent, log = _ask_page(config) if by_http else _ask_status(loaded)
     except Failure as error:
-        problems, recent = {"not_there": error.message}, []
+        problems, recent, log = Found({"not_there": error.message})
     works = not problems.keys() - WORKS
     if as_json:
-        click.echo(json.dumps({"works": works, "map": config.map.name, "problems": problems, "recent": recent}))
+        found = {"works": works, "map": config.map.name, "problems": problems, "recent": list(recent)}
+        click.echo(json.dumps({**found, "log": log.model_dump(include=GROWTH)}))
     else:
         shown = [f"{name}: {line}" for name, cause in problems.items() for line in cause.split("\n") if line]
         shown += [name for name, cause in problems.items() if not cause]
-        for line in [*(shown or ["ok"]), *(f"recently: {text}" for text in recent)]:
+        growth = growth_text(log.bytes_per_hour, log.hours_to_full_disk, log.keep)
+        last = [f"log: {growth}"] if growth else []
+        for line in [*(shown or ["ok"]), *(f"recently: {text}" for text in recent), *last]:
             click.echo(printable(f"{config.map.name}: {line}"))
     return 0 if works else 1
 
@@ -74,7 +86,8 @@ def _ask_page(config: Config) -> Found:
     """Return what the readiness page says."""
     try:
         page = _page(config, "/readyz")
-        return dict(page["problems"]), list(page.get("recent", []))  # a service of an earlier version has no second
+        log = LogState.model_validate(page.get("log", {}))
+        return Found(dict(page["problems"]), list(page.get("recent", [])), log)  # earlier versions have the first alone
     except (AttributeError, ValueError, LookupError, TypeError):
         raise _no_service(reachable(config.http.listen or "")) from None
 
@@ -115,9 +128,9 @@ def _ask_status(loaded: LoadedConfig) -> Found:
             hint = f"is the map {config.map.name!r} served there?{if_guarded(zenoh_config)}"
             raise Failure(f"{error}; {hint}") from None
     if status.health != "ok" and not status.problems:  # a service of an earlier version
-        return {str(status.health): "the cause is in its log lines and, if http.listen is on, on /readyz"}, []
+        return Found({str(status.health): "the cause is in its log lines and, if http.listen is on, on /readyz"})
     found: dict[str, str] = {}
     for subject, text in status.problems.items():
         name = str(next((problem for problem, of in SUBJECTS.items() if of == subject), Problem.INPUT_LOST))
         found[name] = f"{found[name]}\n{text}" if name in found else text
-    return found, status.recent
+    return Found(found, status.recent, status.log)

@@ -16,12 +16,14 @@ COMMANDS = {
     "demo": "run service, rover, planner and replay on this machine; draw the map",
     "serve": "run the mapping service",
     "simulate": "publish the scans and poses of a simulated rover, or recorded scans",
+    "ros2": "take part in ROS 2 for a running service",
     "query": "get a region of a running service's map as a table, PNG or NPZ",
     "top": "watch a running service in the terminal",
     "health": "check that the service works; exit code 0 or 1",
     "doctor": "check configuration, machine, network and robots",
     "replay": "integrate a log again and compare with the logged results",
     "build": "make a map.db from recorded clouds, without a service",
+    "export": "write the map for other tools: GIS, point clouds, Nav2, RViz",
     "config": "show, check or describe the configuration",
 }
 """The commands in the order of `roughmap --help`, each with its summary. A command is a function in a module, both of

@@ -4,13 +4,15 @@ import json
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from roughmap_service.cli.options import Failure, config_options, connect_option, json_option, load, zenoh_option
+from roughmap_service.cli.reading import read_options, reading_options
+from roughmap_service.host.log_lines import printable
 
 if TYPE_CHECKING:
     from roughmap_service.simulation.publishing import Published, RoverPublisher
@@ -43,8 +45,8 @@ if TYPE_CHECKING:
 @click.option(
     "--from",
     "recording",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Publish the scans and poses of this NPZ file instead.",
+    type=click.Path(exists=True, path_type=Path),
+    help="Publish the messages, or the scans and poses, of this recording instead.",
 )
 @click.option("--robot", default="rover1", show_default=True, help="With --from: name of the robot.")
 @click.option("--sensor-frame", default="lidar", show_default=True, help="With --from: frame of the sensor.")
@@ -56,6 +58,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="How long to wait for a service, in seconds.",
 )
+@reading_options
 @config_options
 @json_option
 def simulate(
@@ -75,6 +78,7 @@ def simulate(
     config_path: Path | None,
     settings: tuple[tuple[str, object], ...],
     as_json: bool,
+    **reading: object,
 ) -> None:
     """roughmap simulate --duration 20
 
@@ -85,8 +89,9 @@ def simulate(
     The service must know the rover's sensor, `lidar`. `roughmap config example` prints a configuration that has it;
     without it the service refuses the scans.
 
-    With --from, the scans of an NPZ file are published, with their poses as odometry. `roughmap build --help`
-    describes the file. Its poses are those of the sensor, so leave `translation` out of the sensor's settings.
+    With --from, a recording is published; `roughmap build --help` lists the formats. The messages of bags and MCAP
+    files go out as they are. Scans go out with their poses as odometry; these are poses of the sensor, so leave
+    `translation` out of the sensor's settings. Points in the map frame go out as clouds in `map.frame_id`.
     """
     from roughmap_client.access import endpoints_of
     from roughmap_schemas.config import without_secrets
@@ -96,15 +101,17 @@ def simulate(
     from roughmap_service.simulation.rover import rovers
     from roughmap_service.simulation.scanner import Scanner
 
+    loaded = load(config_path, settings)
     if recording is not None:
-        messages, fleet = recorded_messages(recording, robot, sensor_frame), []
+        options = replace(read_options(loaded.config, robot, reading, any_sensor=True), note=_note)
+        messages, fleet = recorded_messages(recording, robot, sensor_frame, options), []
         names = [robot]
     else:
         fleet = rovers(robots, seed, start_ns or 0, Scanner(rings=rings, columns=columns))
         next(fleet[0].messages(1.0))  # compiles the kernels, so that no message is late
         messages = merged([rover.messages(duration) for rover in fleet])
         names = [rover.name for rover in fleet]
-    config = client_config(load(config_path, settings), connect, zenoh_file)
+    config = client_config(loaded, connect, zenoh_file)
     where = ", ".join(map(without_secrets, endpoints_of(config, "connect")))
     with open_client(config, wait) as session, RoverPublisher(session, names) as publisher:
         try:
@@ -116,6 +123,10 @@ def simulate(
             rover.start_ns = now if start_ns is None else start_ns
         published = _play(publisher, messages, rate, None if recording else duration)
     _report(published, time.monotonic() - begun, as_json)
+
+
+def _note(line: str) -> None:
+    click.echo(f"roughmap: warning: {printable(line)}", err=True)
 
 
 def _play(

@@ -16,6 +16,7 @@ from roughmap_schemas import IntegrationEvent, decode_event
 from roughmap_schemas.faults import ContractError
 from roughmap_schemas.messages import MapStatus
 from roughmap_schemas.reasons import MEANING, CloudReason, PointReason, PoseReason, Reason, Refusal
+from roughmap_service.host.log_growth import growth_text
 from roughmap_service.host.log_lines import printable
 
 WINDOW_S = 10.0
@@ -163,6 +164,8 @@ def _resources(status: MapStatus) -> Table:
     fault = "" if log.ok else ", NOT WRITABLE"
     name = printable(Path(log.file).name) if log.file else "none"
     table.add_row("log", Text(f"{_bytes(log.bytes)} in {name}{fault}", "" if log.ok else "bold red"))
+    if growth := growth_text(log.bytes_per_hour, log.hours_to_full_disk, log.keep):
+        table.add_row("", growth)
     return table
 
 

@@ -21,8 +21,10 @@ from roughmap_schemas import (
     Receipt,
     Refusal,
     ResetEvent,
+    Transform,
     encode_event,
 )
+from roughmap_schemas.kinds import Kind
 from roughmap_service.engine.figures import LostCloud
 from roughmap_service.engine.notices import Notices
 from roughmap_service.host.counters import Counters
@@ -33,6 +35,7 @@ from roughmap_service.inputs.streams import Streams
 from roughmap_service.journal.items import Sync
 from roughmap_service.journal.recorder import Recorder
 from roughmap_service.journal.writer import LogWriter
+from roughmap_service.run.decoding import decode
 from roughmap_service.run.inbox import Arrival, LoggedCloud, Proposal
 from roughmap_service.run.keeping import Keeping, not_kept, pieces, present_ns
 from roughmap_service.run.odometry_clock import Verdict
@@ -88,7 +91,7 @@ class LiveRun:
         run = self.run
         try:
             first = run.duplicates.find(message.identity)
-            if first is not None:
+            if first is not None and not self._mounts_anew(message):
                 self._acknowledge(message, first, duplicate=True)
                 return first
             if not self._writer.ok:
@@ -110,6 +113,17 @@ class LiveRun:
                 self._notices.sensor(message.robot, content.frame_id, run.settings.config)
         self._acknowledge(message, taken.input, duplicate=False)
         return taken.input
+
+    def _mounts_anew(self, message: InputMessage) -> bool:
+        """Return whether a message that was logged before would change a sensor's mounting: then it counts again.
+
+        So a static transform that is sent after the settings changed, or set back to what it was, is not lost.
+        """
+        if message.kind is not Kind.TRANSFORM:
+            return False
+        transform = decode(message.kind, message.payload, self.run.settings)
+        robot = self.run.robot(message.robot)
+        return isinstance(transform, Transform) and robot.is_mounting(transform) and robot.mountings.differs(transform)
 
     def refuse(self, message: InputMessage, fault: MessageFault) -> None:
         """Count a message that is not logged, and answer it if it was ingested."""

@@ -14,6 +14,7 @@ from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.remedies import Subject, sensor_table, time_form_remedy
 from roughmap_service.inputs.streams import Streams
 from roughmap_service.run.decoding import Content
+from roughmap_service.run.mountings import Mounted, Mounting
 from roughmap_service.run.odometry_clock import Verdict
 from roughmap_service.run.robot import OdometryTaken, Robot
 from roughmap_service.run.run import NoTimes, Taken
@@ -25,6 +26,9 @@ ORIGINS = {
     "end": "counted back from the cloud's stamp",
     "absolute": "as times since 1970",
 }
+
+MOUNTING_MOVED_M, MOUNTING_MOVED_RAD = 1e-3, math.radians(0.1)
+"""How far a sensor's mounting moves before that is told."""
 
 
 class Notices:
@@ -42,6 +46,7 @@ class Notices:
         self._mixed: set[str] = set()
         self._clocks: dict[tuple[str, str], tuple[float, float]] = {}
         self._unclear: set[tuple[str, str]] = set()
+        self._mountings: dict[tuple[str, str], Mounting] = {}
         self._habits = Habits(streams, states)
 
     def message(self, robot: str, content: Content, taken: Taken) -> None:
@@ -55,6 +60,8 @@ class Notices:
             self._counters.pose(PoseReason.POSE_FRAME)
         if isinstance(content, Transform):
             self._streams.transform(robot)
+        if taken.mounted is not None:
+            self._mounted(robot, taken.mounted)
         if taken.jumped and isinstance(content, Transform):
             self._counters.jump(robot)
             text = (
@@ -102,6 +109,24 @@ class Notices:
             remedy = time_form_remedy(found.seen, sensor_table(config, found.robot, found.frame_id))
             text = f"{subject}: what the times of its points mean is unclear: {found.seen}; {remedy}"
             note(logger, logging.WARNING, "time_form", text, robot=found.robot, frame_id=found.frame_id)
+
+    def _mounted(self, robot: str, mounted: Mounted) -> None:
+        """Notice that a sensor's mounting came, or is no longer where it was when that was told last."""
+        frame_id, new, before = mounted
+        subject, shown = Subject(robot, frame_id), ", ".join(f"{value:.4g}" for value in new.translation)
+        known = self._mountings.setdefault((robot, frame_id), new if before is None else before)
+        if before is None:
+            text = f"its mounting came: {new.parent} -> {frame_id} at {shown} m"
+            self._tell(subject, "mounting", text, logging.INFO, frame_id=frame_id)
+            return
+        metres, radians = known.moved(new)
+        if metres > MOUNTING_MOVED_M or radians > MOUNTING_MOVED_RAD or new.parent != known.parent:
+            self._mountings[robot, frame_id] = new
+            text = (
+                f"its mounting changed by {metres:.3g} m, {math.degrees(radians):.2f} degrees: {new.parent} -> "
+                f"{frame_id} at {shown} m; what is already mapped does not move"
+            )
+            self._tell(subject, "mounting_changed", text, frame_id=frame_id)
 
     def _tell(self, subject: Subject, event: str, text: str, level: int = logging.WARNING, **fields: Any) -> None:
         """Log what happened once, and list it for a while."""

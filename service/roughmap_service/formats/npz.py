@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap_schemas.geometry import quaternion_of
+from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.poses import check_poses
 from roughmap_service.formats.recorded import PART_ROWS, CloudFileFault, Floats, PlacedPoints, RecordedScan
 from roughmap_service.formats.stamps import outside, stamps_fault
@@ -29,20 +30,22 @@ MAX_UNPACKED = 16 << 30
 """Most bytes of an archive's arrays: half a billion points with covariances. All of them are in memory at once."""
 
 
-def read_npz(file: Path) -> Iterator[RecordedScan | PlacedPoints]:
+def read_npz(file: Path, options: ReadOptions) -> Iterator[RecordedScan | PlacedPoints]:
     """Return the scans of a file, or its points in parts. Raises CloudFileFault and OSError."""
     arrays = _load(file)
-    return _scans(file, arrays) if _is_scans(arrays) else _placed(file, arrays)
+    parts = _scans(file, arrays) if _is_scans(arrays) else _placed(file, arrays)
+    return _telling(parts, len(arrays["points"]), options)
 
 
-def read_scans(file: Path) -> Iterator[RecordedScan]:
-    """Return the scans of a file; CloudFileFault if it does not hold scans with poses."""
-    if file.suffix.lower() != ".npz":
-        raise CloudFileFault(f"{file}: expected an .npz of scans with poses, found {file.suffix or 'no suffix'!r}")
-    arrays = _load(file)
-    if not _is_scans(arrays):
-        raise CloudFileFault(f"{file}: expected arrays scan_start and pose beside points, found {_names(arrays)}")
-    return _scans(file, arrays)
+def _telling(
+    parts: Iterator[RecordedScan] | Iterator[PlacedPoints], count: int, options: ReadOptions
+) -> Iterator[RecordedScan | PlacedPoints]:
+    """Return the parts, and tell how many of the `count` points have been read."""
+    done = 0
+    for part in parts:
+        yield part
+        done += len(part.points)
+        options.reached(done / max(count, 1))
 
 
 def _check_size(file: Path, archive: zipfile.ZipFile) -> None:
@@ -66,7 +69,8 @@ def _load(file: Path) -> Arrays:
     except (CloudFileFault, OSError):
         raise
     except Exception as error:  # zipfile and numpy raise almost anything for bytes that are not an archive
-        raise CloudFileFault(f"{file}: not a readable NPZ file ({str(error) or type(error).__name__})") from error
+        what = (str(error) or type(error).__name__)[:100]
+        raise CloudFileFault(f"{file}: not a readable NPZ file ({what!r})") from error
     points = arrays.get("points")
     if points is None or points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "iuf":
         found = "none" if points is None else f"{points.dtype} {points.shape}"
@@ -88,7 +92,8 @@ def _is_scans(arrays: Arrays) -> bool:
 
 def _metres(points: npt.NDArray[np.generic]) -> Floats:
     """Return float64 metres; integers are millimetres."""
-    metres = points.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN
+        metres = points.astype(np.float64)
     return metres / 1000.0 if points.dtype.kind in "iu" else metres
 
 

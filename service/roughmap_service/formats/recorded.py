@@ -1,4 +1,4 @@
-"""What the readers of recorded clouds return: scans with poses, or points in the map frame."""
+"""What the readers of recordings return: scans with poses, points in the map frame, or the messages of a robot."""
 
 from typing import NamedTuple
 
@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap_schemas.faults import ReportedError
+from roughmap_schemas.kinds import RobotMessage
 
 Floats = npt.NDArray[np.float64]
 
@@ -37,3 +38,19 @@ class PlacedPoints(NamedTuple):
     points: Floats
     stamp_ns: int | npt.NDArray[np.int64]
     covariance: Floats | None
+
+
+class Contents(NamedTuple):
+    """What comes before the messages of a recording: the frame of the map that its poses lead to.
+
+    The transforms among its messages give the extrinsics of the sensors with the frames `mounted`; those with the
+    frames `placed` are at the pose itself, unless they are configured.
+    """
+
+    map_frame: str
+    mounted: frozenset[str] = frozenset()
+    placed: frozenset[str] = frozenset()
+
+
+Recorded = RecordedScan | PlacedPoints | Contents | RobotMessage
+"""One part of a recording. Messages come after their `Contents`."""

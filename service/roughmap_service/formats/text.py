@@ -8,12 +8,14 @@ names of all columns just before the points. A word such as nan, or no word, is 
 
 import re
 from collections.abc import Iterator
+from io import TextIOWrapper
 from itertools import repeat
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
 
+from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.recorded import PART_ROWS, CloudFileFault, Floats, PlacedPoints
 from roughmap_service.formats.text_form import Form, find_form, split
 from roughmap_service.formats.text_words import COUNT, Line, LineFault, coordinate, shown
@@ -30,17 +32,19 @@ FORM_LINES = 1000
 REMARK = re.compile(r"(?:^|(?<=[\s,;]))(?:#(?!N/A)|//)")
 
 
-def read_text(file: Path) -> Iterator[PlacedPoints]:
+def read_text(file: Path, options: ReadOptions) -> Iterator[PlacedPoints]:
     """Return the points of a file in parts. Raises CloudFileFault and OSError."""
     with file.open("rb") as raw:
         encoding = "utf-16" if raw.read(2) in {b"\xff\xfe", b"\xfe\xff"} else "utf-8"
+        size = raw.seek(0, 2)
     reader = _Reader()
-    with file.open(encoding=encoding, errors="replace") as stream:
+    with file.open("rb") as raw, TextIOWrapper(raw, encoding, errors="replace") as stream:
         try:
             for first, lines in _blocks(stream):
                 points = reader.read(first, lines)
                 if len(points):
                     yield PlacedPoints(points, 0, None)
+                options.reached(min(1.0, raw.tell() / size))
             reader.end()
         except LineFault as fault:
             raise CloudFileFault(f"{file}, line {fault.number}: {fault.text}") from fault

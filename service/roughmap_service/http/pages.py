@@ -8,6 +8,7 @@ from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, R
 from starlette.routing import Route
 
 from roughmap_schemas.messages import MapStatus
+from roughmap_service.host.log_growth import GROWTH, growth_text
 from roughmap_service.http.access import AUTHORISED
 from roughmap_service.watch.readiness import Readiness, Sources, is_ready
 
@@ -43,7 +44,8 @@ def application(sources: Sources) -> Starlette:
         if not request.scope[AUTHORISED]:
             page = {"ready": ready, "problems": dict.fromkeys(problems, "")}
         else:
-            page = {"ready": ready, "problems": problems, "recent": sources.recent()}
+            log = sources.log().model_dump(include=GROWTH)
+            page = {"ready": ready, "problems": problems, "recent": sources.recent(), "log": log}
         return JSONResponse(page, 200 if ready else 503)
 
     def metrics(_: Request) -> Response:
@@ -73,6 +75,7 @@ def _page(status: MapStatus, readiness: Readiness) -> str:
         "points": f"{status.points.accepted:,} ({status.rates.points:,.0f}/s)",
         "poses": f"{status.poses.accepted:,} ({status.rates.poses:.1f}/s)",
         "tiles": f"{status.tiles.resident:,} in memory, {status.tiles.spilled:,} spilled",
+        "log": growth_text(status.log.bytes_per_hour, status.log.hours_to_full_disk, status.log.keep),
         "memory": f"{status.memory_bytes / 2**20:,.0f} MiB",
     }
     table = "\n".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows.items())

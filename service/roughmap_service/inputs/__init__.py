@@ -8,6 +8,7 @@
     streams.py         what became of each robot's and sensor's messages; losses.py: when they count as lost;
                        remedies.py: what is told then; recent.py: what happened once, within the last minute
     receipts.py        the answers to ingest requests
+    ros2.py            the service as a ROS 2 node: topics of robots into the queue, and what is wrong with them
 
 A new kind of input: ARCHITECTURE.md lists all places, from its codec to `Run.take`.
 """

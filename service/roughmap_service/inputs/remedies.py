@@ -89,6 +89,10 @@ CLOUD_REMEDIES: Final = {
     ),
     "clock_offset": "check that {sensor} and the odometry use one clock, or set time_offset in {table}",
     "time_form": 'set time_field, time_unit and time_origin in {table}; time_field = "none" ignores the times',
+    "no_extrinsics": (
+        "publish the transform from the robot's base frame to {sensor} on {transform}, or set translation and rotation "
+        "instead of extrinsics in {table}"
+    ),
 }
 """A cloud's reasons but `overload`, which is a problem of the service."""
 
@@ -147,6 +151,7 @@ CAUSES: Final = {
         "clock_reset": "the stamps of the robot's poses went back while they waited",
         "clock_offset": "the clock of {sensor} differs from the robot's",
         "time_form": "what the times of its points mean is unclear",
+        "no_extrinsics": "the sensor's mounting has not come yet",
     },
     "pose": {
         "duplicate": "they have the stamps of poses that came before",

@@ -1,6 +1,8 @@
 """The run's log files, one after another: appends to the newest, and goes on in the next."""
 
 import contextlib
+import math
+import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +11,9 @@ from roughmap_schemas import RunMetadata
 from roughmap_schemas.kinds import INPUTS, Kind
 from roughmap_service.journal.file import LogFile, OpenFile, file_name
 from roughmap_service.journal.records import LogRecord
+
+LOOK_SECONDS = 5.0
+"""Shortest time between two looks at the disk's free space."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +56,10 @@ class FileSequence:
         self._begun = self._written
         self._left = False
         self._file = self._open(metadata, last_ns)
-        self._size = self._file.size
+        self._total = self._size = self._file.size
+        self._free: int | None = None
+        self._looked = -math.inf
+        self._look_at_disk()
 
     @property
     def path(self) -> Path:
@@ -67,6 +75,16 @@ class FileSequence:
     def size(self) -> int:
         """Its bytes on the disk."""
         return self._size
+
+    @property
+    def total(self) -> int:
+        """Bytes on the disk of all files of this start, but for their footers."""
+        return self._total
+
+    @property
+    def free(self) -> int | None:
+        """Bytes that were free on the disk some seconds ago; None if unknown."""
+        return self._free
 
     @property
     def age(self) -> float:
@@ -89,8 +107,10 @@ class FileSequence:
 
     def sync(self) -> None:
         """Bring everything written to the disk."""
-        self._size = self._file.sync()
-        self._synced = self._written
+        size = self._file.sync()
+        self._total += size - self._size
+        self._size, self._synced = size, self._written
+        self._look_at_disk()
 
     def finish(self) -> None:
         """Give the present file its footer and close it."""
@@ -110,6 +130,7 @@ class FileSequence:
                 self._file.let_go()
                 self._file.path.unlink(missing_ok=True)
                 self._metadata = self._metadata.model_copy(update={"index": self.index - 1})
+                self._total -= self._size
             self._left = True
         self._written = self._synced
 
@@ -135,6 +156,17 @@ class FileSequence:
         self._file = self._open(metadata, self._file.last_ns)
         self._metadata, self._begun, self._left = metadata, self._written, False
         self._size = self._file.size
+        self._total += self._size
+
+    def _look_at_disk(self) -> None:
+        """Note how much is free, now and then: here, since other threads must not wait for a disk that hangs."""
+        now = time.monotonic()
+        if now - self._looked >= LOOK_SECONDS:
+            self._looked = now
+            try:
+                self._free = shutil.disk_usage(self._directory).free
+            except OSError:
+                self._free = None
 
     def _open(self, metadata: RunMetadata, last_ns: int) -> LogFile:
         path = self._directory / file_name(metadata.run, metadata.index)

@@ -97,6 +97,16 @@ class LogWriter:
         return self._files.size
 
     @property
+    def total(self) -> int:
+        """Bytes on the disk of all files of this start."""
+        return self._files.total
+
+    @property
+    def free(self) -> int | None:
+        """Bytes that were free on the disk some seconds ago; None if unknown."""
+        return self._files.free
+
+    @property
     def held(self) -> int:
         """Bytes queued, or written and not yet on the disk."""
         return self._queue.held

@@ -9,6 +9,7 @@
                     leaps.py           poses that no motion explains
                     habits.py          what is odd about poses that are taken
                     transforms.py      transforms to the map frame
+                    mountings.py       where sensors are mounted by transforms
                     poses.py           the buffer of its poses; pose_algebra.py turns them
                     sensor_clock.py    which clouds' stamps are believed
                     rules_1.py         how poses were taken in logs of the first version

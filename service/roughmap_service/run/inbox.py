@@ -234,16 +234,24 @@ class Inbox:
         clock, buffer = robot.clock, robot.buffer
         if cloud.input < clock.begun:
             return Proposal(cloud, CloudReason.CLOCK_RESET)
+        unmounted = self._is_unmounted(cloud, robot)
         if cloud.first_ns < buffer.horizon_ns and not clock.anew_from:
-            return Proposal(cloud, CloudReason.LATE)
+            return Proposal(cloud, CloudReason.NO_EXTRINSICS if unmounted else CloudReason.LATE)
         if not clock.doubts(cloud.input, cloud.last_ns):
             if doubt is not None and clock.taken < doubt.until_taken and not due:
                 return None
             if doubt is not None and doubt.far:
                 return Proposal(cloud, CloudReason.CLOCK_OFFSET)
             if buffer.covers(cloud.first_ns, cloud.last_ns):
+                if unmounted:
+                    return Proposal(cloud, CloudReason.NO_EXTRINSICS) if due else None
                 return self._place(cloud, buffer.window(cloud.first_ns, cloud.last_ns))
         return Proposal(cloud, CloudReason.NO_POSE) if due else None
+
+    def _is_unmounted(self, cloud: LoggedCloud, robot: Robot) -> bool:
+        """Return whether it is not known yet where the cloud's sensor is mounted."""
+        frame_id = cloud.cloud.frame_id
+        return self.settings.by_transform(cloud.robot, frame_id) and robot.mounting(frame_id) is None
 
     def _place(self, cloud: LoggedCloud, poses: Sequence[Pose]) -> Proposal:
         outcome = INTEGRATED

@@ -10,6 +10,7 @@ from roughmap import Prepared, RoughMap, Scan
 from roughmap.cell import OFFSET_LIMIT_NS, STAMP_LIMIT_NS
 from roughmap.tiles.table import ReaderLock
 from roughmap_schemas import Cloud, PointReason
+from roughmap_service.run.mountings import Mounting
 from roughmap_service.run.poses import Pose, trajectory
 from roughmap_service.run.returns import repeated_returns
 from roughmap_service.run.settings import Settings
@@ -22,13 +23,15 @@ def place_cloud(
     poses: Sequence[Pose],
     settings: Settings,
     *,
+    mounting: Mounting | None = None,
     clear: bool = False,
     no_new_tiles: bool = False,
     reader_lock: ReaderLock = nullcontext,
 ) -> Prepared:
     """Place a cloud's points (eq. 1) and bring the tiles they touch into memory; the map does not change yet.
 
-    With ``clear`` a scan also clears what it sees through, unless none of its points is accepted.
+    ``mounting``: where the sensor is, None for what is configured. With ``clear`` a scan also clears what it sees
+    through, unless none of its points is accepted.
     Raises TooManyTiles if the cloud needs more new tiles than it may have (none with ``no_new_tiles``), NoTrajectory
     for ``poses`` that are not one. ``reader_lock`` as for `RoughMap.prepare_points`.
     """
@@ -51,8 +54,8 @@ def place_cloud(
         points,
         cloud.stamp_ns,
         offsets_ns=offsets,
-        translation=sensor.translation,
-        rotation=sensor.rotation,
+        translation=(sensor if mounting is None else mounting).translation,
+        rotation=(sensor if mounting is None else mounting).rotation,
     )
     path = trajectory(poses, settings.pose_covariance)
     prepared = rough_map.prepare_scan(

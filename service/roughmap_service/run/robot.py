@@ -11,6 +11,7 @@ from roughmap_schemas import Odometry, PoseReason, Transform
 from roughmap_schemas.geometry import rotation_matrix
 from roughmap_service.run.covariances import BadCovariance, Settled, settle
 from roughmap_service.run.leaps import Leap, find_leap
+from roughmap_service.run.mountings import Mounted, Mounting, Mountings
 from roughmap_service.run.odometry_clock import BACK_FENCE_NS, BELIEVED, BREAK_FENCE_NS, Held, OdometryClock, Verdict
 from roughmap_service.run.pose_algebra import multiply, quaternion, rotate, triple, turn_covariance
 from roughmap_service.run.poses import Pose, PoseBuffer
@@ -62,6 +63,7 @@ class Robot:
     name: str
     buffer: PoseBuffer = field(init=False)
     transforms: Transforms = field(default_factory=Transforms)
+    mountings: Mountings = field(default_factory=Mountings)
     clock: OdometryClock = field(default_factory=OdometryClock)
     sensors: dict[str, SensorClock] = field(default_factory=dict)
     order: StampOrder = field(default_factory=StampOrder)
@@ -107,6 +109,19 @@ class Robot:
             return PoseReason.POSE_FRAME, False
         s = self.settings
         return None, self.transforms.add(transform, number, s.jump_m, s.jump_rad, s.max_transforms)
+
+    def is_mounting(self, transform: Transform) -> bool:
+        """Return whether a transform says where a sensor is mounted: it leads to its frame from the robot's base."""
+        s = self.settings
+        return transform.parent_frame_id != s.frame_id and s.by_transform(self.name, transform.child_frame_id)
+
+    def mount(self, transform: Transform) -> Mounted | None:
+        """Take a transform that says where a sensor is mounted; None if it says nothing of the kind."""
+        return self.mountings.take(transform) if self.is_mounting(transform) else None
+
+    def mounting(self, frame_id: str) -> Mounting | None:
+        """Return where a sensor with ``extrinsics = "transform"`` is mounted; None if that has not come yet."""
+        return self.mountings.rows.get(frame_id)
 
     def _believe(self, verdict: Verdict, one: Held, arrival_ns: int) -> OdometryTaken:
         """Take a message whose stamp is believed, and with it those held before that belong to it."""
@@ -250,6 +265,7 @@ class Robot:
         return {
             "poses": self.buffer.to_state(),
             "transforms": self.transforms.to_state(),
+            "mountings": self.mountings.to_state(),
             "horizon_ns": self.buffer.horizon_ns,
             "stale": [self.order.stale_row, self.order.stale_stamp_ns],
             "clock": self.clock.to_state(),
@@ -257,10 +273,11 @@ class Robot:
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Restore what `to_state` returned, here or in a version with the rules of 1."""
+        """Restore what `to_state` returned, here or in a version without mountings or with the rules of 1."""
         self.buffer.poses = [Pose.of_state(pose) for pose in state["poses"]]
         self.buffer.horizon_ns = state["horizon_ns"]
         self.transforms.load_state(state["transforms"])
+        self.mountings.load_state(state.get("mountings", {}))
         self.order.stale_row, self.order.stale_stamp_ns = state["stale"]
         if "clock" in state:
             self.clock.load_state(state["clock"])

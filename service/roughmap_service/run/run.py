@@ -40,6 +40,7 @@ from roughmap_schemas.faults import ReportedError
 from roughmap_service.run.decoding import Content
 from roughmap_service.run.duplicates import Duplicates, Identity
 from roughmap_service.run.inbox import INTEGRATED, Arrival, Inbox, LoggedCloud, Proposal
+from roughmap_service.run.mountings import Mounted
 from roughmap_service.run.placing import place_cloud
 from roughmap_service.run.point_times import Ambiguous
 from roughmap_service.run.poses import NoTrajectory, Pose
@@ -68,13 +69,15 @@ class Taken:
     """What a message did to the run.
 
     ``input`` is its number, ``odometry`` what an odometry led to, ``rejected`` why a transform is not taken.
-    ``jumped``: its transform moved further than the sigmas of its poses allow.
+    ``jumped``: its transform moved further than the sigmas of its poses allow. ``mounted``: the mounting of a sensor
+    that came with a transform.
     """
 
     input: int
     odometry: OdometryTaken | None = None
     rejected: PoseReason | None = None
     jumped: bool = False
+    mounted: Mounted | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +143,9 @@ class Run:
             if taken.ended_from:
                 self._end_clouds(robot, taken.ended_from)
             return Taken(self.input, taken)
+        mounted = self.robot(robot).mount(content)
+        if mounted is not None:
+            return Taken(self.input, mounted=mounted)
         rejected, jumped = self.robot(robot).add_transform(content, self.input)
         return Taken(self.input, rejected=rejected, jumped=jumped)
 
@@ -215,7 +221,11 @@ class Run:
         ends as `too_many_tiles`.
         """
         cloud, outcome, prepared = proposal.cloud, proposal.outcome, Prepared(0, {})
-        clearing = None
+        clearing = mounting = None
+        if outcome in KNOWN_WHEN_PLACED and self.settings.by_transform(*cloud.sensor):
+            mounting = self.robot(cloud.robot).mounting(cloud.cloud.frame_id)
+            if mounting is None:  # only under other settings than those of the event
+                outcome = CloudReason.NO_EXTRINSICS
         if outcome in KNOWN_WHEN_PLACED:
             # No replay can know whether there was room, but it can know that the cloud needed a new tile.
             no_new_tiles = no_new_tiles or outcome == CloudReason.TOO_MANY_TILES
@@ -228,6 +238,7 @@ class Run:
                     cloud.cloud,
                     poses,
                     self.settings,
+                    mounting=mounting,
                     clear=clearing is not None,
                     no_new_tiles=no_new_tiles,
                     reader_lock=reader_lock,

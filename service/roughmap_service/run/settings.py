@@ -28,12 +28,16 @@ LONGEST = float(1 << 32)
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor as the core takes it: its pose on the robot, its noise, and the limits on its points."""
+    """A sensor as the core takes it: its pose on the robot, its noise, and the limits on its points.
+
+    ``by_transform``: its pose comes with the robot's transforms, and ``translation`` and ``rotation`` don't count.
+    """
 
     translation: tuple[float, float, float]
     rotation: tuple[float, float, float, float]
     noise: Noise
     limits: Limits
+    by_transform: bool
 
 
 class Settings:
@@ -100,6 +104,11 @@ class Settings:
             self._sensors[key] = _sensor(found, self.max_pose_gap, self.pose_error_time(robot))
         return self._sensors[key]
 
+    def by_transform(self, robot: str, frame_id: str) -> bool:
+        """Return whether that sensor's pose on the robot comes with the robot's transforms."""
+        sensor = self.sensor(robot, frame_id)
+        return sensor is not None and sensor.by_transform
+
     def pose_error_time(self, robot: str) -> float:
         """How long errors of a robot's poses last, in seconds."""
         return min(self.config.pose_error_time(robot), LONGEST)
@@ -130,6 +139,7 @@ def _sensor(config: SensorConfig, max_pose_gap: float, pose_error_time: float) -
             exclude=tuple(config.exclude),
             fov=config.fov,
         ),
+        by_transform=config.extrinsics == "transform",
     )
 
 

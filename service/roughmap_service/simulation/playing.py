@@ -1,33 +1,56 @@
-"""Recorded scans as messages: the scans of an NPZ file as clouds, and their poses as odometry."""
+"""Recordings as messages: those of a robot as they are; scans as clouds, with their poses as odometry."""
 
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
+import numpy as np
+
 from roughmap_schemas.cloud import encode_cloud
+from roughmap_schemas.kinds import RobotMessage
 from roughmap_schemas.odometry import encode_odometry
-from roughmap_service.formats.npz import read_scans
-from roughmap_service.formats.recorded import RecordedScan
-from roughmap_service.simulation.rover import BODY_FRAME, MAP_FRAME, SENSOR_FRAME, Message
+from roughmap_service.formats.clouds import read_cloud
+from roughmap_service.formats.options import ReadOptions
+from roughmap_service.formats.recorded import Contents, PlacedPoints, Recorded, RecordedScan
+from roughmap_service.simulation.rover import BODY_FRAME, SENSOR_FRAME, Kind, Message
+
+KINDS: dict[str, Kind] = {"points": "points", "odometry": "odometry", "transform": "transform"}
 
 
-def recorded_messages(file: Path, robot: str = "rover1", sensor_frame: str = SENSOR_FRAME) -> Iterator[Message]:
-    """Return each scan's pose, then the scan, in order. `formats.npz` describes the file.
+def recorded_messages(
+    path: Path, robot: str = "rover1", sensor_frame: str = SENSOR_FRAME, options: ReadOptions | None = None
+) -> Iterator[Message]:
+    """Return the messages of a recording in order; of scans each one's pose, then the scan.
 
-    The recorded pose is the sensor's, and is published as the robot's: the service must have the sensor at the robot's
-    origin. The pose has exactly the scan's stamp, so one is enough; it has no covariance. Raises CloudFileFault if the
-    file does not hold scans with poses.
+    A scan's recorded pose is the sensor's, and is published as the robot's: the service must have the sensor at the
+    robot's origin. The pose has exactly the scan's stamp, so one is enough; it has no covariance. Points in the map
+    frame are clouds in that frame. Raises CloudFileFault if the file can't be read.
     """
-    scans = read_scans(file)  # outside of the generator, so that a bad file raises here and not at the first message
+    options = options or ReadOptions()
+    parts = read_cloud(path, options)
+    first = next(parts, None)  # outside of the generator, so that a bad file raises here and not at the first message
 
     def messages() -> Iterator[Message]:
-        for scan in scans:
-            yield _pose(scan, robot)
-            payload = encode_cloud(scan.points, scan.stamp_ns, sensor_frame)
-            yield Message(scan.stamp_ns, "points", payload, robot, scan.stamp_ns)
+        if first is not None:
+            for part in chain((first,), parts):
+                yield from _of(part, robot, sensor_frame, options.map_frame)
 
     return messages()
 
 
-def _pose(scan: RecordedScan, robot: str) -> Message:
-    payload = encode_odometry(scan.stamp_ns, MAP_FRAME, scan.position, scan.rotation, None, BODY_FRAME)
-    return Message(scan.stamp_ns, "odometry", payload, robot, scan.stamp_ns)
+def _of(part: Recorded, robot: str, sensor_frame: str, map_frame: str) -> Iterator[Message]:
+    if isinstance(part, RobotMessage):
+        yield Message(part.log_ns, KINDS[part.kind], part.payload, robot, part.log_ns)
+    elif isinstance(part, RecordedScan):
+        pose = encode_odometry(part.stamp_ns, map_frame, part.position, part.rotation, None, BODY_FRAME)
+        yield Message(part.stamp_ns, "odometry", pose, robot, part.stamp_ns)
+        yield _cloud(part.points, part.stamp_ns, sensor_frame, robot)
+    elif isinstance(part, PlacedPoints):
+        stamp_ns = int(np.min(part.stamp_ns, initial=2**62)) if len(part.points) else 0
+        yield _cloud(part.points, stamp_ns, map_frame, robot)
+    else:
+        assert isinstance(part, Contents)  # noqa: S101 - there is no other part
+
+
+def _cloud(points: np.ndarray, stamp_ns: int, frame_id: str, robot: str) -> Message:
+    return Message(stamp_ns, "points", encode_cloud(points, stamp_ns, frame_id), robot, stamp_ns)

@@ -11,7 +11,7 @@ from typing import Self
 
 import zenoh
 
-from roughmap_schemas.encodings import ODOMETRY, POINT_CLOUD
+from roughmap_schemas.encodings import FRAME_TRANSFORM, ODOMETRY, POINT_CLOUD
 from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.keys import TEMPLATES
 from roughmap_service.simulation.rover import Kind, Message
@@ -21,7 +21,7 @@ AHEAD = 64
 
 NANOSECONDS = 1_000_000_000
 
-ENCODINGS: dict[Kind, str] = {"points": POINT_CLOUD, "odometry": ODOMETRY}
+ENCODINGS: dict[Kind, str] = {"points": POINT_CLOUD, "odometry": ODOMETRY, "transform": FRAME_TRANSFORM}
 
 
 @dataclass
@@ -58,7 +58,7 @@ class RoverPublisher:
                     encoding=encoding,
                     congestion_control=zenoh.CongestionControl.BLOCK,
                     # Poses overtake clouds: they are small, and clouds wait for them.
-                    priority=zenoh.Priority.DATA_HIGH if kind == "odometry" else zenoh.Priority.DATA,
+                    priority=zenoh.Priority.DATA if kind == "points" else zenoh.Priority.DATA_HIGH,
                 )
 
     def __enter__(self) -> Self:
@@ -73,7 +73,9 @@ class RoverPublisher:
     def wait_for_listeners(self, seconds: float) -> None:
         """Wait until every robot's clouds and poses have a subscriber; NobodyListens after `seconds`."""
         deadline = time.monotonic() + seconds
-        for publisher in self._publishers.values():
+        for (_, kind), publisher in self._publishers.items():
+            if kind == "transform":  # no robot must send them
+                continue
             heard = threading.Event()
 
             def on_change(status: zenoh.MatchingStatus, heard: threading.Event = heard) -> None:

@@ -23,7 +23,7 @@ from roughmap_service.simulation.world import World, inhabited
 
 Floats = npt.NDArray[np.float64]
 
-Kind = Literal["points", "odometry"]
+Kind = Literal["points", "odometry", "transform"]
 
 SENSOR_FRAME = "lidar"
 BODY_FRAME = "base"

@@ -38,7 +38,9 @@ CREATE TABLE IF NOT EXISTS tiles (
     tx INTEGER NOT NULL, ty INTEGER NOT NULL, oldest_ns INTEGER NOT NULL, newest_ns INTEGER NOT NULL,
     checksum BLOB NOT NULL, digest BLOB NOT NULL, state BLOB NOT NULL, PRIMARY KEY (tx, ty)
 );
+CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL, checksum TEXT NOT NULL) WITHOUT ROWID;
 """
+"""`about` holds what a run does not need and older stores lack: `crs`."""
 
 REMEDY = "move the file away to rebuild the map from the log"
 
@@ -135,6 +137,20 @@ class Store:
         except (TypeError, ValueError, RecursionError) as error:
             raise StoreError(f"{self.path}: the store is of another version ({error}); start with --fresh") from None
 
+    def crs(self) -> str | None:
+        """Return the coordinate reference system of x and y, WKT or EPSG:n; None if it is not known. StoreError."""
+        if not self.path.exists():
+            return None
+        with self.connection() as db:
+            if not db.execute("SELECT count(*) FROM sqlite_master WHERE name = 'about'").fetchone()[0]:
+                return None  # a store from before there was this table
+            row = db.execute("SELECT value, checksum FROM about WHERE name = 'crs'").fetchone()
+        if row is None:
+            return None
+        if not isinstance(row[0], str) or row[1] != _checksum({"crs": row[0]}):
+            raise self.damaged("its coordinate reference system")
+        return row[0]
+
     def read_tiles(self) -> Iterator[StoredTile]:
         """Yield all tiles, each checked against its digest; StoreError names the first damaged one."""
         with self.connection() as db:
@@ -186,13 +202,14 @@ class Store:
         after: int | None,
         progress: Callable[[], None] = lambda: None,
         remaining: I4 | None = None,
+        crs: str | None = None,
     ) -> None:
         """Commit a cut with the tiles of ``frozen`` that changed after the sequence ``after``.
 
         ``after`` None replaces all stored tiles by those of ``frozen``. ``remaining`` (T, 2): all tiles of the map, if
         it has forgotten some since; stored ones that are not among them are deleted. ``progress`` is called at each
-        tile. This is one transaction: if anything fails, the store stays as it was. sqlite3.Error or OSError from the
-        disk.
+        tile. ``crs`` None leaves the stored one. This is one transaction: if anything fails, the store stays as it was.
+        sqlite3.Error or OSError from the disk.
         """
         pack = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL, write_checksum=True)
         make_directory(self.path.parent)
@@ -211,6 +228,8 @@ class Store:
                 db.execute("DELETE FROM cut")
                 texts = {name: json.dumps(value, allow_nan=False) for name, value in asdict(cut).items()}
                 db.executemany("INSERT INTO cut VALUES (?, ?)", [*texts.items(), ("checksum", _checksum(texts))])
+                if crs is not None:
+                    db.execute("INSERT OR REPLACE INTO about VALUES ('crs', ?, ?)", (crs, _checksum({"crs": crs})))
                 db.execute("COMMIT")
             except BaseException:
                 if db.in_transaction:  # some errors already ended it
@@ -218,13 +237,21 @@ class Store:
                 raise
 
     def write_map(
-        self, rough_map: RoughMap, configuration: dict[str, Any], configuration_digest: str, run: str
+        self,
+        rough_map: RoughMap,
+        configuration: dict[str, Any],
+        configuration_digest: str,
+        run: str,
+        crs: str | None = None,
     ) -> None:
-        """Store a map that was made by `build` or `replay`, as the beginning of a run without a log."""
+        """Store a map that was made by `build` or `replay`, as the beginning of a run without a log.
+
+        ``crs``: the coordinate reference system of its x and y, WKT or EPSG:n, if it is known.
+        """
         digest = rough_map.digest()
         cut = Cut(run, 0, rough_map.sequence, 0, 0, 1, configuration, configuration_digest, digest=digest)
         with rough_map.freeze() as frozen:
-            self.write(cut, frozen, None)
+            self.write(cut, frozen, None, crs=crs)
 
     def set_aside(self, run: str | None = None) -> Path:
         """Set the store aside as map.db.RUN, so that a new run can begin; return the new path.

@@ -184,6 +184,9 @@ class Metrics(Collector):
         yield _gauge("health", "1 for the current state of health.", "state", health)
         yield _gauge("log_ok", "1 if the log can be written.", value=status.log.ok)
         yield _gauge("log_file_bytes", "Size of the log file that is being written.", value=status.log.bytes)
+        if status.log.bytes_per_hour is not None:
+            text = "Bytes an hour by which the log grows, over the last minutes."
+            yield _gauge("log_bytes_per_hour", text, value=status.log.bytes_per_hour)
         yield _gauge("sequence", "Sequence of the map: +1 with each integrated cloud or reset.", value=status.sequence)
         yield _gauge(
             "durable_sequence", "Sequence of the map that the log on disk reproduces.", value=status.durable_sequence

@@ -2,16 +2,18 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from roughmap_schemas import Config
-from roughmap_schemas.messages import MapStatus
+from roughmap_schemas.messages import LogState, MapStatus
 from roughmap_service.answers.queryables import Answers
 from roughmap_service.engine.sequencer import Sequencer
 from roughmap_service.host.counters import Counters
+from roughmap_service.host.log_growth import LogGrowth, hours_to_full
 from roughmap_service.host.log_lines import note
 from roughmap_service.inputs.queue import InputQueue
+from roughmap_service.inputs.ros2 import Ros2Inputs
 from roughmap_service.inputs.streams import Streams
 from roughmap_service.journal.writer import LogWriter
 from roughmap_service.store.memory_limit import MemoryLimit
@@ -32,6 +34,10 @@ class RunningParts:
     memory: MemoryLimit
     counters: Counters
     streams: Streams
+    keep: int | None = None
+    """`log.keep` in bytes."""
+    growth: LogGrowth = field(default_factory=LogGrowth)
+    ros2: Ros2Inputs | None = None
     _stalled: bool = False
 
     def problems(self) -> dict[Problem, str]:
@@ -40,7 +46,21 @@ class RunningParts:
             alive=self.sequencer.alive, turned=self.sequencer.turned, failure=self.sequencer.failure,
             log_ok=self.writer.ok, log_error=self.writer.error, memory_ok=self.memory.ok,
             store_ok=self.snapshots.ok, store_error=self.snapshots.error, overloaded=self.counters.overloaded,
-            lost=self.streams.problems().values(),
+            lost=self.lost().values(),
+        )  # fmt: skip
+
+    def lost(self) -> dict[str, str]:
+        """Return a sentence on each robot, sensor and ROS topic whose messages come to nothing."""
+        return self.streams.problems() | ({} if self.ros2 is None else self.ros2.problems())
+
+    def log_state(self) -> LogState:
+        """Return the state of the log, and how it grows."""
+        writer = self.writer
+        per_hour = self.growth.per_hour(writer.total)
+        hours = hours_to_full(per_hour, writer.free, self.keep)
+        return LogState(
+            file=str(writer.path), bytes=writer.size, ok=writer.ok, bytes_per_hour=per_hour, hours_to_full_disk=hours,
+            keep=self.keep,
         )  # fmt: skip
 
     def watch(self) -> None:
@@ -72,7 +92,7 @@ def connect_pages(
 ) -> None:
     """Make the pages show these parts."""
     sources.readiness.become(parts.problems)
-    sources.recent = parts.streams.recent.told
+    sources.recent, sources.log = parts.streams.recent.told, parts.log_state
     if sources.url is None:
         return
     from roughmap_service.watch.metrics import Disk, Metrics, PartFigures  # noqa: PLC0415 - needed with pages only
@@ -91,7 +111,7 @@ def connect_pages(
     store = None if config.store.path is None else Path(config.store.path)
     disk = Disk(Path(config.log.directory), store, parts.memory.spill.path)
     metrics = Metrics(
-        status, parts.counters, figures, sources.readiness.problems, parts.streams.problems, disk,
+        status, parts.counters, figures, sources.readiness.problems, parts.lost, disk,
         config.map.memory_limit,
     )  # fmt: skip
     sources.status, sources.metrics = status, metrics.text

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Literal
 
-from roughmap_schemas.messages import MapStatus
+from roughmap_schemas.messages import LogState, MapStatus
 from roughmap_service.inputs.streams import limited
 
 STALLED_SECONDS = 10.0
@@ -135,5 +135,6 @@ class Sources:
     map: str = ""
     url: str | None = None
     recent: Callable[[], Sequence[str]] = list
+    log: Callable[[], LogState] = LogState
     status: Callable[[], MapStatus] | None = None
     metrics: Callable[[], bytes] | None = None

@@ -9,7 +9,7 @@ from roughmap_schemas import SensorConfig
 from roughmap_schemas.config import Config
 from roughmap_schemas.geometry import rotation_matrix
 from roughmap_service.cli.doctor.findings import Finding, table
-from roughmap_service.cli.doctor.heard import HeardSensor
+from roughmap_service.cli.doctor.heard import HeardSensor, HeardTransform
 from roughmap_service.cli.doctor.survey import Survey
 
 NO_RANGE = 1_000.0
@@ -22,8 +22,8 @@ ROOM = 2
 """Margin between the tiles that the points of a cloud fall into and those that their error bodies touch."""
 
 
-def judge_frame(robot: str, frame: str, config: Config) -> list[Finding]:
-    """Judge whether the service takes clouds in this frame."""
+def judge_frame(robot: str, frame: str, config: Config, mounting: HeardTransform | None = None) -> list[Finding]:
+    """Judge whether the service takes clouds in this frame; ``mounting``: where a transform says that it is mounted."""
     if frame == config.map.frame_id or config.sensor(robot, frame) is not None:
         return []
     text = f"clouds in frame {frame!r} are refused: it is neither the map's frame nor a configured sensor"
@@ -38,13 +38,42 @@ def judge_frame(robot: str, frame: str, config: Config) -> list[Finding]:
         ]
     remedy = "describe the sensor, with its own values, or correct the clouds' frame_id:"
     settings = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "range_sigma": 0.03}
+    if mounting is not None:
+        settings = {"extrinsics": "transform", "range_sigma": 0.03}
     return [Finding(robot, "wrong", text, remedy, table(("sensors", frame), settings))]
 
 
-def judge_points(
-    robot: str, frame: str, sensor: HeardSensor, config: Config, table_names: tuple[str, ...]
+def judge_mounting(
+    robot: str, frame: str, config: Config, mounting: HeardTransform | None, *, mounted: bool
 ) -> list[Finding]:
-    """Judge the points of a sensor's clouds, by the surveys of some of them."""
+    """Judge whether it is known where a sensor is mounted whose mounting comes with the robot's transforms.
+
+    ``mounting`` is what came meanwhile; ``mounted``: the running service knows it from before.
+    """
+    settings = config.sensor(robot, frame)
+    if settings is None or settings.extrinsics != "transform":
+        return []
+    if mounting is not None:
+        at = ", ".join(f"{value:.4g}" for value in mounting.translation)
+        return [Finding(robot, "ok", f"mounting of {frame!r}: {mounting.parent} -> {frame} at {at} m, by transform")]
+    if mounted:
+        return [Finding(robot, "ok", f"mounting of {frame!r}: the service knows it, by an earlier transform")]
+    text = f"{frame!r} waits for the transform base -> {frame} (extrinsics): none came meanwhile; without one, its "
+    text += "clouds are rejected as no_extrinsics"
+    key = config.keys["transform"].replace("{robot}", robot)
+    remedy = f"publish it on {key} while the service runs, or set translation and rotation instead"
+    return [Finding(robot, "note", text, remedy)]
+
+
+def judge_points(
+    robot: str,
+    frame: str,
+    sensor: HeardSensor,
+    config: Config,
+    table_names: tuple[str, ...],
+    mounting: HeardTransform | None = None,
+) -> list[Finding]:
+    """Judge the points of a sensor's clouds, by the surveys of some of them; ``mounting``: as for `judge_frame`."""
     surveys = [one for one in sensor.surveys if one.points]
     where = f"clouds in {frame!r}"
     if not surveys:
@@ -75,18 +104,26 @@ def judge_points(
         )
         text = f"points in {where} are {median:.2f} m away (median); {name} = {value:g} rejects all of them"
         findings.append(Finding(robot, "wrong", text, f"correct {name} in [{'.'.join(table_names)}]"))
-    findings += _excluded(robot, frame, surveys, settings, table_names)
+    if settings.extrinsics == "configured":
+        findings += _excluded(robot, frame, surveys, settings, settings, table_names)
+    elif mounting is not None:
+        findings += _excluded(robot, frame, surveys, settings, mounting, table_names)
     return findings + _room(robot, frame, surveys, config, settings.max_range, table_names)
 
 
 def _excluded(
-    robot: str, frame: str, surveys: list[Survey], settings: SensorConfig, table_names: tuple[str, ...]
+    robot: str,
+    frame: str,
+    surveys: list[Survey],
+    settings: SensorConfig,
+    mounting: SensorConfig | HeardTransform,
+    table_names: tuple[str, ...],
 ) -> list[Finding]:
     """Judge whether the sensor's ``exclude`` boxes, in the robot's frame, hold nearly all of its points."""
     if not settings.exclude:
         return []
-    turn = np.array(rotation_matrix(settings.rotation))
-    points = np.concatenate([one.some for one in surveys]) @ turn.T + np.array(settings.translation)
+    turn = np.array(rotation_matrix(mounting.rotation))
+    points = np.concatenate([one.some for one in surveys]) @ turn.T + np.array(mounting.translation)
     inside = np.zeros(len(points), np.bool_)
     for box in np.array(settings.exclude):
         inside |= ((points >= box[:3]) & (points <= box[3:])).all(axis=1)

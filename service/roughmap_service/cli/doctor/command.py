@@ -38,10 +38,11 @@ STATUS_S = 10.0
 def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, object], ...], as_json: bool) -> int:
     """roughmap doctor
 
-    Check that mapping can work with this configuration: directories and disk space, memory, clock, ports,
-    certificates, exposure to the network, Zenoh peers, and what the robots publish: frames, rates and losses, stamps
-    and clocks, per-point times, poses, their leaps and covariances, transforms, and what clouds are made of. Print each
-    finding, and below it the remedy if something is wrong, with settings to paste into the configuration file.
+    Check that mapping can work with this configuration: directories, disk space and how long it lasts, memory, clock,
+    ports, certificates, exposure to the network, Zenoh peers, and what the robots publish: frames, rates and losses,
+    stamps and clocks, per-point times, poses, their leaps and covariances, transforms, and what clouds are made of.
+    Print each finding, and below it the remedy if something is wrong, with settings to paste into the configuration
+    file.
 
     If the service is running, doctor connects to it. If not, doctor opens the Zenoh session that it would open.
     Exit code 1 if anything is wrong.
@@ -62,8 +63,7 @@ def doctor(seconds: float, config_path: Path | None, settings: tuple[tuple[str, 
         findings += [doctor_machine.http_port(config, running=beside.running), *beside.findings]
         if beside.session is not None and seconds > 0:
             click.echo(f"listening for {seconds:g} s ...", err=True)
-            findings += _traffic(beside.session, loaded, seconds)
-            findings += _meanwhile(beside)
+            findings += _traffic(beside, beside.session, loaded, seconds)
     wrong = any(finding.verdict == "wrong" for finding in findings)
     if as_json:
         click.echo(json.dumps({"ok": not wrong, "findings": [finding.as_json() for finding in findings]}))
@@ -153,32 +153,42 @@ def _peers(loaded: "LoadedConfig") -> list[Finding]:
     return findings
 
 
-def _meanwhile(beside: Beside) -> list[Finding]:
+def _meanwhile(beside: Beside) -> "tuple[list[Finding], MapStatus | None]":
     """Ask the running service once more: what it made of the messages, and what it calls a problem."""
     from roughmap_client.errors import RoughMapError
     from roughmap_service.cli.doctor.service import judge_service
 
     if beside.client is None or beside.status is None:
-        return []
+        return [], None
     try:
-        return judge_service(beside.status, beside.client.status())
+        after = beside.client.status()
     except RoughMapError as error:
-        return [Finding("service", "wrong", f"the service no longer answers: {error}", "look at its log lines")]
+        return [Finding("service", "wrong", f"the service no longer answers: {error}", "look at its log lines")], None
+    return judge_service(beside.status, after), after
 
 
-def _traffic(session: "zenoh.Session", loaded: "LoadedConfig", seconds: float) -> list[Finding]:
+def _traffic(beside: Beside, session: "zenoh.Session", loaded: "LoadedConfig", seconds: float) -> list[Finding]:
+    """Listen, and judge what was heard, what the service made of it, and the log that it makes."""
     from roughmap_schemas.keys import Keys
+    from roughmap_service.cli.doctor.machine import log_growth
     from roughmap_service.cli.doctor.robots import judge
+    from roughmap_service.cli.doctor.ros2 import Ros2Ears
+    from roughmap_service.cli.doctor.service import knows_mountings
     from roughmap_service.cli.doctor.traffic import Traffic
     from roughmap_service.run.settings import Settings
 
     config = loaded.config
     traffic = Traffic(Settings(config))
     wall, monotonic = time.time(), time.monotonic()
-    traffic.listen(session, Keys(config.map.name, config.keys), seconds)
-    findings = judge(traffic, config, seconds)
+    with ExitStack() as stack:
+        ears = stack.enter_context(Ros2Ears(session, config, traffic.put)) if config.ros2.robots else None
+        traffic.listen(session, Keys(config.map.name, config.keys), seconds)
+        on_topics = [] if ears is None else ears.judge()
     stepped = (time.time() - wall) - (time.monotonic() - monotonic)
+    said, after = _meanwhile(beside)
+    findings = on_topics + judge(traffic, config, seconds, mounted=knows_mountings(beside.status, after))
     if abs(stepped) > 0.1:  # slewing stays far below a millisecond a second
         text = f"this machine's clock jumped by {stepped:+.2f} s while doctor listened"
         findings.append(Finding("clock", "wrong", text, "let a single program set it, by slewing"))
-    return findings
+    measured = None if after is None else after.log.bytes_per_hour
+    return [*findings, *said, *log_growth(config, traffic.bytes_per_hour(seconds), measured)]

@@ -13,12 +13,16 @@ from pathlib import Path
 from roughmap_schemas.config import Config
 from roughmap_service.cli.doctor.findings import Finding
 from roughmap_service.cli.health import served_map
+from roughmap_service.host.log_growth import growth_text, hours_to_full, size_text
 
 EARLIEST, LATEST = (datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (2025, 2100))
 """A clock that shows a time outside of these is not set."""
 
 BASE_BYTES = 300 << 20
 """Memory of the service without its tiles: code, kernels, Zenoh's pools."""
+
+SHORT_HOURS = 24.0
+"""Hours to a full disk below which that is noted."""
 
 LEAST_FREE = 100 << 20
 """Free bytes below which a robot's scans fill the disk within a minute."""
@@ -37,10 +41,16 @@ def directories(config: Config) -> list[Finding]:
     return findings
 
 
-def _directory(name: str, directory: Path, wanted: int) -> Finding:
+def _there(directory: Path) -> Path:
+    """Return the nearest directory above that exists."""
     there = directory
     while not there.exists() and there != there.parent:
         there = there.parent
+    return there
+
+
+def _directory(name: str, directory: Path, wanted: int) -> Finding:
+    there = _there(directory)
     try:
         if not there.is_dir():
             raise NotADirectoryError(20, "is a file, not a directory", str(there))
@@ -56,6 +66,35 @@ def _directory(name: str, directory: Path, wanted: int) -> Finding:
     if free < wanted:
         return Finding("disk", "note", f"{text}, but {wanted / 1e9:.1f} GB may soon be needed", "free some space")
     return Finding("disk", "ok", text)
+
+
+def log_growth(config: Config, heard: int, measured: int | None) -> list[Finding]:
+    """Judge how long the disk of the log lasts.
+
+    ``heard`` are the bytes an hour that robots send, ``measured`` those that a running service's log grew by lately:
+    less if they sent nothing for a while, more if it logs other things too. The larger one counts.
+    """
+    per_hour = max(heard, measured or 0)
+    before = "" if config.log.compression == "none" else f", before compression ({config.log.compression}),"
+    text = f"what was heard makes a log{before} of about" if per_hour == heard else "the service's log grows by"
+    if not per_hour:
+        return []
+    directory = Path(config.log.directory)
+    try:
+        used = sum(path.stat().st_size for path in directory.glob("*.mcap*"))
+        free = shutil.disk_usage(_there(directory)).free
+    except OSError:
+        return []  # told by `directories`
+    keep = config.log.keep
+    hours = hours_to_full(per_hour, free, keep)
+    text = f"{text} {growth_text(per_hour, hours, keep)}"
+    if keep is not None and keep > used + free:
+        text = f"{text}, but the disk has room for {size_text(used + free)} only"
+        return [Finding("log", "note", text, "lower log.keep, or give the log another disk (log.directory)")]
+    if hours is not None and hours < SHORT_HOURS:
+        remedy = "set log.keep (with store.path) or log.compression, or move closed log files away in time"
+        return [Finding("log", "note", text, remedy)]
+    return [Finding("log", "ok", text)]
 
 
 def memory(config: Config) -> Finding:

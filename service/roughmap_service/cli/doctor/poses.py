@@ -123,7 +123,8 @@ def judge_frames(
             )
             settings = "\n".join((table(("map",), {"frame_id": frame}), KEEP))
         findings.append(Finding(robot, "wrong" if transforms else "note", text, remedy, settings))
-    for parent in sorted({one.parent for one in transforms} - {frame_id})[:MAX_FRAMES]:
+    unused = [one for one in transforms if not _mounts(robot, one.child, config)]
+    for parent in sorted({one.parent for one in unused} - {frame_id})[:MAX_FRAMES]:
         slash = parent.strip("/") == frame_id.strip("/")
         text = f"transforms from {parent!r} are not used: the map's frame is {frame_id!r}"
         remedy = (
@@ -143,6 +144,12 @@ def judge_frames(
             robot, child, own, [one for one in transforms if one.parent == frame_id and one.child == child]
         )
     return findings
+
+
+def _mounts(robot: str, child: str, config: Config) -> bool:
+    """Return whether transforms to this frame say where a sensor is mounted."""
+    sensor = config.sensor(robot, child)
+    return sensor is not None and sensor.extrinsics == "transform"
 
 
 def drifts(frame: str) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from roughmap_schemas.config import Config
 from roughmap_schemas.kinds import Kind
 from roughmap_service.cli.doctor.clocks import judge_machine_clock, judge_sensor_clock
-from roughmap_service.cli.doctor.clouds import judge_frame, judge_points
+from roughmap_service.cli.doctor.clouds import judge_frame, judge_mounting, judge_points
 from roughmap_service.cli.doctor.covariances import judge_covariances
 from roughmap_service.cli.doctor.findings import Finding, Verdict
 from roughmap_service.cli.doctor.heard import Heard, Robot, Tally, rate, times
@@ -34,10 +34,11 @@ class Odometry(NamedTuple):
     rising: list[Heard]
 
 
-def judge(traffic: Traffic, config: Config, seconds: float) -> list[Finding]:
-    """Return the findings on the traffic of the last ``seconds``."""
+def judge(traffic: Traffic, config: Config, seconds: float, *, mounted: bool = False) -> list[Finding]:
+    """Return the findings on the traffic of the last ``seconds``; ``mounted``: a service knows all mountings."""
     robots = traffic.robots
-    findings = [finding for name in sorted(robots) for finding in _robot(name, robots, config, traffic.ended_ns)]
+    ended_ns = traffic.ended_ns
+    findings = [one for name in sorted(robots) for one in _robot(name, robots, config, ended_ns, mounted=mounted)]
     silent = sorted(set(config.input.robots) - set(robots))
     if silent and robots:
         text = f"nothing from {', '.join(silent)} (input.robots)"
@@ -58,7 +59,7 @@ def judge(traffic: Traffic, config: Config, seconds: float) -> list[Finding]:
     return findings
 
 
-def _robot(name: str, robots: dict[str, Robot], config: Config, ended_ns: int) -> list[Finding]:
+def _robot(name: str, robots: dict[str, Robot], config: Config, ended_ns: int, *, mounted: bool) -> list[Finding]:
     robot = robots[name]
     findings: list[Finding] = []
     if config.input.robots and name not in config.input.robots:
@@ -78,7 +79,7 @@ def _robot(name: str, robots: dict[str, Robot], config: Config, ended_ns: int) -
         remedy = f"publish the localisation's poses on {config.keys['odometry'].replace('{robot}', name)}"
         findings.append(Finding(name, "wrong", "no odometry: its clouds can't be placed", remedy))
     for frame in sorted(robot.sensors):
-        findings += _sensor(name, frame, robots, odometry, config, ended_ns)
+        findings += _sensor(name, frame, robots, odometry, config, ended_ns, mounted=mounted)
     if odometry.rising or robot.sensors:
         findings += judge_machine_clock(name, odometry.rising)
     findings += _numbers(name, robot)
@@ -86,22 +87,32 @@ def _robot(name: str, robots: dict[str, Robot], config: Config, ended_ns: int) -
 
 
 def _sensor(
-    name: str, frame: str, robots: dict[str, Robot], odometry: Odometry, config: Config, ended_ns: int
+    name: str,
+    frame: str,
+    robots: dict[str, Robot],
+    odometry: Odometry,
+    config: Config,
+    ended_ns: int,
+    *,
+    mounted: bool,
 ) -> list[Finding]:
     sensor = robots[name].sensors[frame]
     heard = times(sensor.clouds)
     each = sum(cloud.points for cloud in sensor.clouds) / len(sensor.clouds)
     text = f"clouds at {rate(heard):.1f} Hz, {each:,.0f} points each, in {frame!r}"
-    findings = [Finding(name, "ok", text), *judge_frame(name, frame, config)]
+    lead = [one for one in robots[name].transforms if one.child == frame and one.parent != config.map.frame_id]
+    mounting = lead[-1] if lead else None
+    findings = [Finding(name, "ok", text), *judge_frame(name, frame, config, mounting)]
     if frame == config.map.frame_id:
         return findings
     names, settings = _table(name, frame, robots, config), config.sensor(name, frame)
+    findings += judge_mounting(name, frame, config, mounting, mounted=mounted)
     findings += judge_stamps(name, f"clouds in {frame!r}", heard, poses=False)
     samples = list(sensor.samples)
     found = read_times(samples, settings)
     if found is not None:
         findings += judge_times(name, frame, samples, found, settings, names)
-    findings += judge_points(name, frame, sensor, config, names)
+    findings += judge_points(name, frame, sensor, config, names, mounting)
     if settings is not None:
         findings += _beside_odometry(name, frame, heard, found, odometry, config, ended_ns, settings.time_offset, names)
     return findings

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from roughmap_schemas.messages import MapStatus
+from roughmap_schemas.reasons import CloudReason
 from roughmap_service.cli.doctor.findings import Finding, Verdict
 
 MOST = 0.9
@@ -48,6 +49,14 @@ def judge_service(before: MapStatus, after: MapStatus) -> list[Finding]:
             findings.append(Finding("service", told, text, "see above for the cause"))
             clouds_lost = what == "clouds"
     return findings
+
+
+def knows_mountings(before: MapStatus | None, after: MapStatus | None) -> bool:
+    """Return whether the service knew meanwhile where all sensors are mounted: clouds were mapped, none lacked it."""
+    if before is None or after is None or before.instance != after.instance:
+        return False
+    mapped = after.clouds.accepted > before.clouds.accepted
+    return mapped and CloudReason.NO_EXTRINSICS not in _rise(before.clouds.rejected, after.clouds.rejected)
 
 
 def _rise(before: Mapping[Any, int], after: Mapping[Any, int]) -> dict[str, int]:

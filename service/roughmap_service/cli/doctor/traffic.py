@@ -21,6 +21,7 @@ from roughmap_service.cli.doctor.heard import (
 )
 from roughmap_service.cli.doctor.survey import survey
 from roughmap_service.cli.doctor.times import TimeSample
+from roughmap_service.host.log_growth import HOUR_S
 from roughmap_service.inputs.subscriptions import ENCODINGS
 from roughmap_service.run.decoding import decode
 from roughmap_service.run.point_times import NAMES
@@ -34,6 +35,9 @@ MAX_NAME = 257
 
 MAX_BYTES = 256 << 20
 """Bytes of messages that may wait to be read, and of points' times that are kept."""
+
+RECORD_BYTES = 47
+"""What the log adds to a message, as MCAP has it: the record's head (9), its numbers (22), its index entry (16)."""
 
 MAX_SURVEYED = 64
 """Sensors whose clouds are looked at more closely."""
@@ -70,8 +74,14 @@ class Traffic:
         self._base_ns = time.time_ns() - time.monotonic_ns()
         self.robots: dict[str, Robot] = {}
         self.ended_ns = 0
+        self.heard_bytes = 0
+        """Bytes of the messages that a service would log."""
         self.missed = 0
         """Messages that arrived faster than they could be read."""
+
+    def bytes_per_hour(self, seconds: float) -> int:
+        """Return by how many bytes an hour a log would grow if it goes on as in these ``seconds``."""
+        return round(self.heard_bytes * HOUR_S / seconds)
 
     def listen(self, session: zenoh.Session, keys: Keys, seconds: float) -> None:
         """Collect what is published within ``seconds``."""
@@ -102,12 +112,8 @@ class Traffic:
             robot = parse_key(str(sample.key_expr))
         except MessageFault:
             return  # not a robot's key
-        size = len(sample.payload)
-        with self._lock:
-            if self._bytes + size > MAX_BYTES:
-                self.missed += 1
-                return
-            self._bytes += size
+        if not self._has_room(len(sample.payload)):
+            return
         attachment = sample.attachment
         number = None
         if attachment is not None and len(attachment) == 8:
@@ -116,6 +122,21 @@ class Traffic:
         self._waiting.put(
             Message(kind, robot, sample.payload.to_bytes(), str(sample.encoding), arrival_ns, number, source)
         )
+
+    def put(self, message: Message) -> None:
+        """Take a message that came another way than `listen`, now; any thread may call it."""
+        if self._has_room(len(message.payload)):
+            self._waiting.put(message._replace(arrival_ns=self._base_ns + time.monotonic_ns()))
+
+    def _has_room(self, size: int) -> bool:
+        """Tell whether a message of that size may wait, and count it if so."""
+        with self._lock:
+            if self._bytes + size > MAX_BYTES:
+                self.missed += 1
+                self.heard_bytes += size
+                return False
+            self._bytes += size
+        return True
 
     def _take_next(self, wait_s: float) -> bool:
         try:
@@ -141,6 +162,7 @@ class Traffic:
         try:
             check_encoding(message.encoding, ENCODINGS[message.kind])
             content = decode(message.kind, message.payload, self._settings)
+            self.heard_bytes += len(message.payload) + RECORD_BYTES
             if isinstance(content, Cloud):
                 self._take_cloud(message, content, robot)
             elif isinstance(content, Odometry):

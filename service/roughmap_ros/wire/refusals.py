@@ -1,0 +1,35 @@
+"""Messages that were refused, counted by topic and reason."""
+
+import threading
+from typing import Final
+
+MAX_REASONS: Final = 64
+"""Reasons that are told apart; those of later ones count as others."""
+
+
+class Refusals:
+    """Counts of refused messages. Any thread may use it."""
+
+    def __init__(self) -> None:
+        self._counts: dict[tuple[str, str], int] = {}
+        self._lock = threading.Lock()
+
+    def count(self, topic: str, reason: str) -> None:
+        """Count a message."""
+        with self._lock:
+            known = (topic, reason) in self._counts
+            key = (topic, reason) if known or len(self._counts) < MAX_REASONS else (topic[:256], "other reasons")
+            self._counts[key] = self._counts.get(key, 0) + 1
+
+    @property
+    def counts(self) -> dict[tuple[str, str], int]:
+        """Counts by topic and reason."""
+        with self._lock:
+            return dict(self._counts)
+
+    def lines(self) -> list[str]:
+        """Return a line for each topic and reason."""
+        return [
+            f"{topic}: {number} {'message' if number == 1 else 'messages'} refused: {reason}"
+            for (topic, reason), number in sorted(self.counts.items())
+        ]
