@@ -1,6 +1,8 @@
 """Environments with ROS 2 that `make ros-test` makes."""
 
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import zenoh

@@ -9,6 +9,7 @@ import importlib
 import json
 import sys
 import threading
+import time
 from functools import partial
 from typing import Any
 
@@ -100,8 +101,10 @@ class Peer:
         return {"cdr": base64.b64encode(raw).decode()}
 
     def publish_cdr(self, command: dict[str, Any]) -> dict[str, Any]:
-        """Publish serialised messages, in order."""
-        for topic, payload in command["messages"]:
+        """Publish serialised messages, each when it is due, in seconds from the first, as a robot would."""
+        start = time.monotonic()
+        for due, topic, payload in command["messages"]:
+            time.sleep(max(start + due - time.monotonic(), 0.0))
             self.publishers[topic].publish(base64.b64decode(payload))
         return {}
 

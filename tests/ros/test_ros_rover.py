@@ -15,8 +15,6 @@ from roughmap_schemas import CheckpointEvent
 SECONDS = 1.5
 GRID = "nav_msgs/msg/OccupancyGrid"
 COSTMAP = "/roughmap/costmap"
-AT_ONCE = 50
-"""Messages that are published together: fewer than the publishers' depth."""
 
 
 def digest_of(log: Path) -> str:
@@ -26,6 +24,12 @@ def digest_of(log: Path) -> str:
 def decided(feed: Any) -> None:
     clouds = round(SECONDS * SCANNER.rate_hz)
     wait_until(lambda: feed.client.status().clouds.accepted >= clouds, f"{clouds} clouds in the map")
+
+
+def as_ros(kind: str, payload: bytes) -> tuple[str, str]:
+    """Return the topic of a message, and its CDR in base64."""
+    topic, cdr = (CLOUDS, cloud(payload)) if kind == "points" else (ODOMETRY, odometry(payload))
+    return topic, base64.b64encode(cdr).decode()
 
 
 def grid(cdr: bytes) -> Any:
@@ -56,13 +60,10 @@ def test_a_rover_on_dds_makes_the_same_map_and_the_costmap_comes_back(ros: Ros, 
         for topic in (CLOUDS, ODOMETRY):
             robot.ask("matched", topic=topic, reliable=True)
         wait_until(lambda: feed.client.status() is not None, "the service")
-        ready = [
-            (CLOUDS, cloud(message.payload)) if message.kind == "points" else (ODOMETRY, odometry(message.payload))
-            for message in sent
+        drive = [
+            ((message.stamp_ns - sent[0].stamp_ns) / 1e9, *as_ros(message.kind, message.payload)) for message in sent
         ]
-        words = [(topic, base64.b64encode(cdr).decode()) for topic, cdr in ready]
-        for first in range(0, len(words), AT_ONCE):
-            robot.ask("publish_cdr", messages=words[first : first + AT_ONCE])
+        robot.ask("publish_cdr", messages=drive)
         decided(feed)
 
         robot.ask("subscribe", topic=COSTMAP, type=GRID, latched=True, depth=1)  # late, as Nav2 would
