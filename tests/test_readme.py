@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from live_service import decisions, live_service
 from net import WAIT_S, peer_config
 
+from roughmap_schemas.config_load import config_from
 from roughmap_service.cli.demo.processes import ServiceProcess
 from roughmap_service.cli.main import cli, run
 
@@ -21,7 +23,8 @@ ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = (
     "README.md", "CONTRIBUTING.md", "CHANGELOG.md", "ARCHITECTURE.md", "OPERATIONS.md", "RELIABILITY.md", "SECURITY.md",
-    "schemas/README.md", "tests/bench/README.md",
+    "schemas/README.md", "tests/bench/README.md", "service/roughmap_service/formats/README.md",
+    "service/roughmap_ros/node/README.md",
 )  # fmt: skip
 PRINTED_ENDPOINT = "tcp/127.0.0.1:7447"
 
@@ -47,10 +50,15 @@ def commands(page: str) -> list[str]:
     return sorted({found[1] for line in shell_lines(page) if (found := start.fullmatch(line))})
 
 
+@pytest.mark.parametrize("settings", blocks("toml"))
+def test_settings_are_valid(settings: str) -> None:
+    config_from(tomllib.loads(settings), "README.md")
+
+
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
     """A service with the README's configuration."""
-    (settings,) = blocks("toml")
+    (settings,) = (block for block in blocks("toml") if "[sensors.lidar]" in block)
     with live_service(tmp_path_factory.mktemp("readme"), settings) as running:
         yield running
 
