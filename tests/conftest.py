@@ -9,8 +9,9 @@ properties.register()
 
 FIRST = (
     "test_other_cpus.py", "test_rejections.py", "test_unchanged_tiles.py", "test_ground_layers.py",
-    "test_bench.py", "test_ends_and_starts.py", "test_closed_unsynced.py", "test_faults.py", "test_soak.py",
-    "test_storm.py", "test_walks.py", "test_fuzz.py", "test_doctor_robots.py", "test_demo.py",
+    "test_bench.py", "test_ends_and_starts.py", "test_closed_unsynced.py", "test_kills_and_cuts.py",
+    "test_faults.py", "test_soak.py", "test_storm.py", "test_walks.py", "test_fuzz.py", "test_doctor_robots.py",
+    "test_demo.py",
 )  # fmt: skip
 """Files that take half a minute or more: one that came last would run alone, beside an idle core. Before those that
 start services come some that compile the kernels, which services then find in the cache."""
