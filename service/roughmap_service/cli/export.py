@@ -164,7 +164,7 @@ def _from_service(session: "zenoh.Config", name: str, keys: dict[str, str], want
             sheet, served = served_sheet(client, *wanted)
             yield sheet
     except NoAnswer as error:
-        hint = f"is `roughmap serve` up there, with the map {name!r}? (--connect, --set map.name=...)"
+        hint = f"is `roughmap serve` up there, with the map {name!r}? (--connect, --set map.name=..., or name a map.db)"
         raise Failure(f"{error}; {hint}{if_guarded(session)}") from error
     except QueryRefused as error:
         raise Failure(f"the service refused: {error}") from error
