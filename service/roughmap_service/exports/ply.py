@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roughmap_service.exports.points import HEIGHT, cell_points
-from roughmap_service.exports.sheet import ExportFault, Sheet
+from roughmap_service.exports.layer_rules import height_first
+from roughmap_service.exports.points import cell_points
+from roughmap_service.exports.sheet import Sheet
 
 COUNT_DIGITS = 12
 """The number of points is known at the end, and the header has room for so many digits."""
@@ -13,7 +14,7 @@ COUNT_DIGITS = 12
 
 def write_ply(sheet: Sheet, file: Path) -> None:
     """Write x, y, z (float64: survey coordinates stay exact) and the other layers as properties of their names."""
-    check_height(sheet, file)
+    height_first(sheet.layers)
     row = np.dtype([("place", "<f8", (3,)), ("values", "<f4", (len(sheet.layers) - 1,))])
     properties = [f"property double {axis}" for axis in "xyz"] + [f"property float {name}" for name in sheet.layers[1:]]
     title = sheet.title.encode("ascii", "replace").decode()
@@ -28,9 +29,3 @@ def write_ply(sheet: Sheet, file: Path) -> None:
             count += len(rows)
         out.seek(len(before))
         out.write(f"{count:0{COUNT_DIGITS}d}".encode())
-
-
-def check_height(sheet: Sheet, file: Path) -> None:
-    """Raise ExportFault unless mean_height comes first."""
-    if sheet.layers[0] != HEIGHT:
-        raise ExportFault(f"{file}: points need a height: --layers {HEIGHT},{','.join(sheet.layers)}")

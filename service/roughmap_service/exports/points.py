@@ -8,8 +8,6 @@ import numpy.typing as npt
 
 from roughmap_service.exports.sheet import Sheet
 
-HEIGHT = "mean_height"
-
 
 class CellPoints(NamedTuple):
     """The known cells of a tile: `places` (N, 3) float64 in the map frame, metres; `values` (N, L) float32."""
