@@ -14,7 +14,7 @@ from typing import Final, Self
 
 from roughmap_client import RoughMapClient
 from roughmap_ros.feed import RobotFeed
-from roughmap_ros.messages.types import type_hash
+from roughmap_ros.messages.types import LIVOX, ODOMETRY, POINT_CLOUD, POSE, POSE_STAMPED, TF, type_hash
 from roughmap_ros.out.publishing import MapPublisher
 from roughmap_ros.out.topics import map_topics
 from roughmap_ros.wire import Qos, Received, RosNode
@@ -26,12 +26,12 @@ from roughmap_schemas.ros2_sections import Ros2Config
 logger = logging.getLogger(__name__)
 
 KINDS: Final[Mapping[str, Kind]] = {
-    "sensor_msgs/msg/PointCloud2": Kind.POINTS,
-    "livox_ros_driver2/msg/CustomMsg": Kind.POINTS,
-    "nav_msgs/msg/Odometry": Kind.ODOMETRY,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": Kind.ODOMETRY,
-    "geometry_msgs/msg/PoseStamped": Kind.ODOMETRY,
-    "tf2_msgs/msg/TFMessage": Kind.TRANSFORM,
+    POINT_CLOUD: Kind.POINTS,
+    LIVOX: Kind.POINTS,
+    ODOMETRY: Kind.ODOMETRY,
+    POSE: Kind.ODOMETRY,
+    POSE_STAMPED: Kind.ODOMETRY,
+    TF: Kind.TRANSFORM,
 }
 """What a message of a ROS type counts as if it can't be used."""
 

@@ -18,9 +18,9 @@ from roughmap_ros.messages.grids import get_map_reply_cdr, occupancy_grid_cdr, o
 from roughmap_ros.messages.livox import livox_message
 from roughmap_ros.messages.poses import (
     PoseRead,
-    odometry_message,
-    pose_message,
-    pose_stamped_message,
+    read_odometry,
+    read_pose,
+    read_pose_stamped,
     tf_cdr,
     transforms_of,
 )
@@ -39,9 +39,9 @@ __all__ = [
     "livox_message",
     "occupancy_grid_cdr",
     "occupancy_update_cdr",
-    "odometry_message",
-    "pose_message",
-    "pose_stamped_message",
+    "read_odometry",
+    "read_pose",
+    "read_pose_stamped",
     "tf_cdr",
     "transforms_of",
     "type_hash",
