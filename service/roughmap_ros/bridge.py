@@ -17,7 +17,7 @@ from roughmap_ros.feed import RobotFeed
 from roughmap_ros.messages.types import LIVOX, ODOMETRY, POINT_CLOUD, POSE, POSE_STAMPED, TF, type_hash
 from roughmap_ros.out.publishing import MapPublisher
 from roughmap_ros.out.topics import map_topics
-from roughmap_ros.wire import Qos, Received, RosNode
+from roughmap_ros.wire import SENSOR_DATA, Qos, Received, RosNode
 from roughmap_schemas import Config
 from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.kinds import Kind, RobotMessage
@@ -35,10 +35,9 @@ KINDS: Final[Mapping[str, Kind]] = {
 }
 """What a message of a ROS type counts as if it can't be used."""
 
-SENSOR: Final = Qos(reliable=False, depth=10)
-"""Best effort matches every publisher."""
-
 STREAM: Final = Qos(reliable=False, depth=100)
+"""Best effort, as SENSOR_DATA: it matches every publisher."""
+
 STATIC: Final = Qos(reliable=True, transient_local=True, depth=100)
 
 GONE_NS: Final = 60 * 10**9
@@ -166,7 +165,7 @@ class Bridge:
 
     def _qos(self, topic: str, ros_type: str) -> Qos:
         if KINDS[ros_type] is not Kind.TRANSFORM:
-            return SENSOR
+            return SENSOR_DATA
         return STATIC if any(topic == robot.tf_static for robot in self._config.robots.values()) else STREAM
 
     def _position(self, robot: str) -> tuple[float, float] | None:

@@ -26,10 +26,3 @@ class Refusals:
         """Counts by topic and reason."""
         with self._lock:
             return dict(self._counts)
-
-    def lines(self) -> list[str]:
-        """Return a line for each topic and reason."""
-        return [
-            f"{topic}: {number} {'message' if number == 1 else 'messages'} refused: {reason}"
-            for (topic, reason), number in sorted(self.counts.items())
-        ]
