@@ -12,6 +12,8 @@ from functools import partial
 from types import TracebackType
 from typing import Final, Self
 
+import zenoh
+
 from roughmap_client import RoughMapClient
 from roughmap_ros.feed import RobotFeed
 from roughmap_ros.messages.types import LIVOX, ODOMETRY, POINT_CLOUD, POSE, POSE_STAMPED, TF, type_hash
@@ -68,11 +70,15 @@ def robot_feeds(config: Config, map_frame: str | None = None) -> dict[str, Robot
     """Return a feed for each robot of ``[ros2]``; ``map_frame``: the map's frame, if not that of ``config``."""
     feeds = {}
     for name, topics in config.ros2.robots.items():
-        own = config.robots.get(name)
-        sensors = {**config.sensors, **(own.sensors if own is not None else {})}
-        mounted = {frame for frame, sensor in sensors.items() if sensor.extrinsics == "transform"}
+        mounted = {frame for frame, sensor in config.sensors_of(name).items() if sensor.extrinsics == "transform"}
         feeds[name] = RobotFeed(topics, map_frame or config.map.frame_id, mounted)
     return feeds
+
+
+def ros_node(session: zenoh.Session, config: Config, name: str | None = None) -> RosNode:
+    """Return the node of ``[ros2]``, a context manager, under another ``name`` if one is given."""
+    ros2 = config.ros2
+    return RosNode(session, name or ros2.node, keys=ros2.keys, domain=ros2.domain, max_message=config.input.max_message)
 
 
 class Bridge:

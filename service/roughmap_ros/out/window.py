@@ -3,8 +3,10 @@
 import math
 from typing import NamedTuple
 
-from roughmap.reading.region import CELL_SLACK
 from roughmap_schemas.ros2_sections import Ros2OutConfig
+
+SLACK = 1e-6
+"""Part of a cell by which an edge may miss the border between two cells: 0.3 / 0.1 is less than 3."""
 
 
 class Window(NamedTuple):
@@ -40,11 +42,11 @@ def window(out: Ros2OutConfig, cell_size: float, position: tuple[float, float] |
     side = cell_size * (1 << out.level)
     if out.box is not None:
         xmin, ymin, xmax, ymax = out.box
-        x, y = math.floor(xmin / side + CELL_SLACK), math.floor(ymin / side + CELL_SLACK)
-        nx, ny = math.ceil(xmax / side - CELL_SLACK) - x, math.ceil(ymax / side - CELL_SLACK) - y
+        x, y = math.floor(xmin / side + SLACK), math.floor(ymin / side + SLACK)
+        nx, ny = math.ceil(xmax / side - SLACK) - x, math.ceil(ymax / side - SLACK) - y
         return Window(x, y, max(nx, 1), max(ny, 1), side)
     if position is None:
         return None
-    nx, ny = (max(math.ceil(size / side - CELL_SLACK), 1) for size in out.size)
+    nx, ny = (max(math.ceil(size / side - SLACK), 1) for size in out.size)
     x, y = (math.floor(at / side - n / 2 + 0.5) for at, n in zip(position, (nx, ny), strict=True))
     return Window(x, y, nx, ny, side)

@@ -90,9 +90,9 @@ def _run(
     stop: threading.Event,
 ) -> None:
     from roughmap_client import RoughMapClient
-    from roughmap_ros.bridge import Bridge, robot_feeds
+    from roughmap_ros.bridge import Bridge, robot_feeds, ros_node
     from roughmap_ros.key_sink import KeySink
-    from roughmap_ros.wire import RosNode, enable_timestamps
+    from roughmap_ros.wire import enable_timestamps
     from roughmap_schemas import Keys
     from roughmap_service.cli.connection import client_config, open_client
     from roughmap_service.inputs.ros2 import QUERY_S, Told, check_topics
@@ -110,12 +110,7 @@ def _run(
             ros_session = stack.enter_context(open_client(ros_config, wait))
         client = RoughMapClient(config.map.name, session=session, timeout=QUERY_S, keys=config.keys)
         status = client.status(timeout=wait)
-        node = stack.enter_context(
-            RosNode(
-                ros_session, config.ros2.node, keys=config.ros2.keys, domain=config.ros2.domain,
-                max_message=config.input.max_message,
-            )
-        )  # fmt: skip
+        node = stack.enter_context(ros_node(ros_session, config))
         sink = KeySink(session, Keys(config.map.name, config.keys))
         feeds = robot_feeds(config, status.frame_id)
         bridge = stack.enter_context(Bridge(node, config.ros2, feeds, sink.put, _refuse, client))

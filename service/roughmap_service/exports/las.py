@@ -5,8 +5,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 
-from roughmap_service.exports.ply import check_height
-from roughmap_service.exports.points import cell_points
+from roughmap_service.exports.points import cell_points, check_height
 from roughmap_service.exports.sheet import Sheet
 from roughmap_service.exports.wkt import LAS, as_wkt
 from roughmap_service.formats.pictures import STYLES

@@ -4,11 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from roughmap_service.exports.points import HEIGHT, cell_points
-from roughmap_service.exports.sheet import ExportFault, Sheet
-
-COUNT_DIGITS = 12
-"""The number of points is known at the end, and the header has room for so many digits."""
+from roughmap_service.exports.points import COUNT_DIGITS, cell_points, check_height
+from roughmap_service.exports.sheet import Sheet
 
 
 def write_ply(sheet: Sheet, file: Path) -> None:
@@ -16,8 +13,7 @@ def write_ply(sheet: Sheet, file: Path) -> None:
     check_height(sheet, file)
     row = np.dtype([("place", "<f8", (3,)), ("values", "<f4", (len(sheet.layers) - 1,))])
     properties = [f"property double {axis}" for axis in "xyz"] + [f"property float {name}" for name in sheet.layers[1:]]
-    title = sheet.title.encode("ascii", "replace").decode()
-    before = f"ply\nformat binary_little_endian 1.0\ncomment {title}\nelement vertex "
+    before = f"ply\nformat binary_little_endian 1.0\ncomment {sheet.ascii_title}\nelement vertex "
     with file.open("wb") as out:
         out.write(f"{before}{0:0{COUNT_DIGITS}d}\n".encode() + "\n".join([*properties, "end_header\n"]).encode())
         count = 0
@@ -28,9 +24,3 @@ def write_ply(sheet: Sheet, file: Path) -> None:
             count += len(rows)
         out.seek(len(before))
         out.write(f"{count:0{COUNT_DIGITS}d}".encode())
-
-
-def check_height(sheet: Sheet, file: Path) -> None:
-    """Raise ExportFault unless mean_height comes first."""
-    if sheet.layers[0] != HEIGHT:
-        raise ExportFault(f"{file}: points need a height: --layers {HEIGHT},{','.join(sheet.layers)}")

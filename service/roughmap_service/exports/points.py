@@ -1,14 +1,21 @@
 """The known cells as points: centres of cells at their mean height, with the layers as numbers."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from roughmap_service.exports.sheet import Sheet
+from roughmap_service.exports.sheet import ExportFault, Sheet
 
 HEIGHT = "mean_height"
+
+COUNT_DIGITS = 12
+"""The number of points is known at the end, and headers have room for so many digits."""
+
+NEAR = 5000.0
+"""Metres from zero within which float32 keeps a quarter of a millimetre."""
 
 
 class CellPoints(NamedTuple):
@@ -16,6 +23,12 @@ class CellPoints(NamedTuple):
 
     places: npt.NDArray[np.float64]
     values: npt.NDArray[np.float32]
+
+
+def check_height(sheet: Sheet, file: Path) -> None:
+    """Raise ExportFault unless mean_height comes first."""
+    if sheet.layers[0] != HEIGHT:
+        raise ExportFault(f"{file}: points need a height: --layers {HEIGHT},{','.join(sheet.layers)}")
 
 
 def cell_points(sheet: Sheet) -> Iterator[CellPoints]:
@@ -37,7 +50,3 @@ def local_origin(sheet: Sheet) -> tuple[float, float]:
     if max(abs(x0), abs(y0), abs(x1), abs(y1)) < NEAR:
         return 0.0, 0.0
     return round((x0 + x1) / 2, -2), round((y0 + y1) / 2, -2)
-
-
-NEAR = 5000.0
-"""Metres from zero within which float32 keeps a quarter of a millimetre."""

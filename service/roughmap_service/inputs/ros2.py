@@ -12,10 +12,10 @@ from typing import Final, Self
 import zenoh
 
 from roughmap_client import RoughMapClient
-from roughmap_ros.bridge import Bridge, robot_feeds
+from roughmap_ros.bridge import Bridge, robot_feeds, ros_node
 from roughmap_ros.out.topics import topic_of
 from roughmap_ros.out.window import window
-from roughmap_ros.wire import Received, RosNode, enable_timestamps, router_problem
+from roughmap_ros.wire import Received, enable_timestamps, router_problem
 from roughmap_schemas import Config, ConfigFault, MessageFault, Refusal
 from roughmap_schemas.kinds import Kind, RobotMessage
 from roughmap_schemas.layers import layers_of
@@ -138,12 +138,7 @@ class Ros2Inputs:
     def __enter__(self) -> Self:
         config, session = self._config, self._session
         with ExitStack() as stack:
-            node = stack.enter_context(
-                RosNode(
-                    session, config.ros2.node, keys=config.ros2.keys, domain=config.ros2.domain,
-                    max_message=config.input.max_message,
-                )
-            )  # fmt: skip
+            node = stack.enter_context(ros_node(session, config))
             client = RoughMapClient(config.map.name, session=session, timeout=QUERY_S, keys=config.keys)
             bridge = Bridge(
                 node, config.ros2, robot_feeds(config), self._put, self._refuse, client, heard=self._count_lost
