@@ -62,11 +62,13 @@ def ros2(
     """
     from roughmap_client import RoughMapError
     from roughmap_service.host.log_lines import set_up
+    from roughmap_service.inputs.ros2 import check_topics
 
     loaded = load(config_path, settings)
     config = loaded.config
     if not config.ros2.active:
         raise BadUse("nothing to do: configure [ros2.robots.NAME] or [ros2.out.NAME]")
+    check_topics(config)
     set_up(config.service.log_format, config.service.log_level, sys.stderr)
     stop = threading.Event()
 
@@ -95,10 +97,9 @@ def _run(
     from roughmap_ros.wire import enable_timestamps
     from roughmap_schemas import Keys
     from roughmap_service.cli.connection import client_config, open_client
-    from roughmap_service.inputs.ros2 import QUERY_S, Told, check_topics
+    from roughmap_service.inputs.ros2 import QUERY_S, Told
 
     config = loaded.config
-    check_topics(config)
     with ExitStack() as stack:
         zenoh_config = client_config(loaded, connect, zenoh_file)
         enable_timestamps(zenoh_config)
