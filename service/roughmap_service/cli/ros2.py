@@ -62,7 +62,7 @@ def ros2(
     """
     from roughmap_client import RoughMapError
     from roughmap_service.host.log_lines import set_up
-    from roughmap_service.inputs.ros2 import check_topics
+    from roughmap_service.inputs.ros2_checks import check_topics
 
     loaded = load(config_path, settings)
     config = loaded.config
@@ -97,7 +97,8 @@ def _run(
     from roughmap_ros.wire import enable_timestamps
     from roughmap_schemas import Keys
     from roughmap_service.cli.connection import client_config, open_client
-    from roughmap_service.inputs.ros2 import QUERY_S, Told
+    from roughmap_service.inputs.ros2 import QUERY_S
+    from roughmap_service.inputs.ros2_problems import Told
 
     config = loaded.config
     with ExitStack() as stack:

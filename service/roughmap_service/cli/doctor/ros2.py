@@ -17,7 +17,7 @@ from roughmap_schemas import Config
 from roughmap_schemas.kinds import Kind, RobotMessage
 from roughmap_service.cli.doctor.findings import Finding
 from roughmap_service.cli.doctor.traffic import Message
-from roughmap_service.inputs.ros2 import standing
+from roughmap_service.inputs.ros2_checks import standing
 
 AREA = "ros2"
 
