@@ -136,6 +136,11 @@ class Config(Section):
             return own.sensors[frame_id]
         return self.sensors.get(frame_id)
 
+    def sensors_of(self, robot: str) -> dict[str, SensorConfig]:
+        """Return the settings of all sensors of a robot, by frame."""
+        own = self.robots.get(robot)
+        return dict(self.sensors) if own is None else {**self.sensors, **own.sensors}
+
     def pose_covariance(self, robot: str) -> Policy:
         """Return how the covariances of a robot's poses are used."""
         own = self.robots.get(robot)

@@ -12,12 +12,14 @@ from functools import partial
 from types import TracebackType
 from typing import Final, Self
 
+import zenoh
+
 from roughmap_client import RoughMapClient
 from roughmap_ros.feed import RobotFeed
-from roughmap_ros.messages.types import type_hash
+from roughmap_ros.messages.types import LIVOX, ODOMETRY, POINT_CLOUD, POSE, POSE_STAMPED, TF, type_hash
 from roughmap_ros.out.publishing import MapPublisher
 from roughmap_ros.out.topics import map_topics
-from roughmap_ros.wire import Qos, Received, RosNode
+from roughmap_ros.wire import SENSOR_DATA, Qos, Received, RosNode
 from roughmap_schemas import Config
 from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.kinds import Kind, RobotMessage
@@ -26,19 +28,18 @@ from roughmap_schemas.ros2_sections import Ros2Config
 logger = logging.getLogger(__name__)
 
 KINDS: Final[Mapping[str, Kind]] = {
-    "sensor_msgs/msg/PointCloud2": Kind.POINTS,
-    "livox_ros_driver2/msg/CustomMsg": Kind.POINTS,
-    "nav_msgs/msg/Odometry": Kind.ODOMETRY,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": Kind.ODOMETRY,
-    "geometry_msgs/msg/PoseStamped": Kind.ODOMETRY,
-    "tf2_msgs/msg/TFMessage": Kind.TRANSFORM,
+    POINT_CLOUD: Kind.POINTS,
+    LIVOX: Kind.POINTS,
+    ODOMETRY: Kind.ODOMETRY,
+    POSE: Kind.ODOMETRY,
+    POSE_STAMPED: Kind.ODOMETRY,
+    TF: Kind.TRANSFORM,
 }
 """What a message of a ROS type counts as if it can't be used."""
 
-SENSOR: Final = Qos(reliable=False, depth=10)
-"""Best effort matches every publisher."""
-
 STREAM: Final = Qos(reliable=False, depth=100)
+"""Best effort, as SENSOR_DATA: it matches every publisher."""
+
 STATIC: Final = Qos(reliable=True, transient_local=True, depth=100)
 
 GONE_NS: Final = 60 * 10**9
@@ -75,11 +76,15 @@ def robot_feeds(config: Config, map_frame: str | None = None) -> dict[str, Robot
     """Return a feed for each robot of ``[ros2]``; ``map_frame``: the map's frame, if not that of ``config``."""
     feeds = {}
     for name, topics in config.ros2.robots.items():
-        own = config.robots.get(name)
-        sensors = {**config.sensors, **(own.sensors if own is not None else {})}
-        mounted = {frame for frame, sensor in sensors.items() if sensor.extrinsics == "transform"}
+        mounted = {frame for frame, sensor in config.sensors_of(name).items() if sensor.extrinsics == "transform"}
         feeds[name] = RobotFeed(topics, map_frame or config.map.frame_id, mounted)
     return feeds
+
+
+def ros_node(session: zenoh.Session, config: Config, name: str | None = None) -> RosNode:
+    """Return the node of ``[ros2]``, a context manager, under another ``name`` if one is given."""
+    ros2 = config.ros2
+    return RosNode(session, name or ros2.node, keys=ros2.keys, domain=ros2.domain, max_message=config.input.max_message)
 
 
 class Bridge:
@@ -179,7 +184,7 @@ class Bridge:
 
     def _qos(self, topic: str, ros_type: str) -> Qos:
         if KINDS[ros_type] is not Kind.TRANSFORM:
-            return SENSOR
+            return SENSOR_DATA
         return STATIC if any(topic == robot.tf_static for robot in self._config.robots.values()) else STREAM
 
     def _position(self, robot: str) -> tuple[float, float] | None:

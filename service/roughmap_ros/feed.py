@@ -9,12 +9,13 @@ from roughmap_ros.messages import (
     PoseRead,
     cloud_message,
     livox_message,
-    odometry_message,
-    pose_message,
-    pose_stamped_message,
+    read_odometry,
+    read_pose,
+    read_pose_stamped,
     transforms_of,
 )
-from roughmap_ros.messages.cdr import CdrReader
+from roughmap_ros.messages.cdr import read_header
+from roughmap_ros.messages.types import LIVOX, ODOMETRY, POINT_CLOUD, POSE, POSE_STAMPED, TF
 from roughmap_ros.tf.composed_poses import ComposedPoses, Stamped
 from roughmap_ros.tf.covariances import Covariance, Covariances
 from roughmap_ros.tf.given_poses import GivenPose, GivenPoses
@@ -29,13 +30,13 @@ from roughmap_schemas.ros2_sections import Ros2RobotConfig
 MAX_PROBLEMS: Final = 20
 """Problems that are told at once."""
 
-Read = Callable[[bytes, int], PoseRead]
-"""Reads a message with a pose, which came at a time in ns."""
+Read = Callable[[bytes], PoseRead]
+"""Reads a message with a pose."""
 
 POSE_TYPES: Final[dict[str, tuple[str, Read]]] = {
-    "odometry": ("nav_msgs/msg/Odometry", odometry_message),
-    "pose": ("geometry_msgs/msg/PoseWithCovarianceStamped", pose_message),
-    "pose_stamped": ("geometry_msgs/msg/PoseStamped", pose_stamped_message),
+    "odometry": (ODOMETRY, read_odometry),
+    "pose": (POSE, read_pose),
+    "pose_stamped": (POSE_STAMPED, read_pose_stamped),
 }
 """By the setting that names their topic: the type, and what reads it."""
 
@@ -121,9 +122,9 @@ class RobotFeed:
             found.setdefault(topic, _Topic(ros_type, take, Heard(topic, steady, needed)))
 
         for topic in topics.clouds:
-            add(topic, "sensor_msgs/msg/PointCloud2", partial(self._take_cloud, cloud_message))
+            add(topic, POINT_CLOUD, partial(self._take_cloud, cloud_message))
         for topic in topics.livox:
-            add(topic, "livox_ros_driver2/msg/CustomMsg", partial(self._take_cloud, livox_message))
+            add(topic, LIVOX, partial(self._take_cloud, livox_message))
         setting: str = topics.source
         if self._from_tf:  # then the topic gives covariances
             setting = "odometry" if topics.odometry else "pose"
@@ -135,7 +136,7 @@ class RobotFeed:
         for name, static in ((topics.tf, False), (topics.tf_static, True)):
             if name:  # the links that are needed are judged, not the topic: many robots have no static transforms
                 take = partial(self._take_tf, static=static)
-                add(name, "tf2_msgs/msg/TFMessage", take, steady=False, needed=False)
+                add(name, TF, take, steady=False, needed=False)
         return found
 
     def _take_tf(self, cdr: bytes, log_ns: int, *, static: bool) -> list[RobotMessage]:
@@ -144,7 +145,7 @@ class RobotFeed:
 
     def _take_cloud(self, read: Callable[[bytes, int], RobotMessage], cdr: bytes, log_ns: int) -> list[RobotMessage]:
         cloud = read(cdr, log_ns)
-        header = CdrReader(cdr, "header").header()
+        header = read_header(cdr)
         messages = []
         if self._from_tf:  # a robot that stands: links without stamps give poses where clouds need them
             fixed = self._composed.fixed()
@@ -155,8 +156,8 @@ class RobotFeed:
         return [*messages, cloud]
 
     def _take_pose(self, read: Read, cdr: bytes, log_ns: int) -> list[RobotMessage]:
-        pose = read(cdr, log_ns)
-        body = pose.body_frame_id if read is odometry_message else self._base  # others don't name it
+        pose = read(cdr)
+        body = pose.body_frame_id if read is read_odometry else self._base  # others don't name it
         if self._from_tf:
             self._covariances.take(pose.stamp_ns, pose.frame_id, body, pose.covariance)
             return []

@@ -36,7 +36,8 @@ from roughmap_service.host.log_lines import note
 from roughmap_service.http.server import HttpServer
 from roughmap_service.inputs.queue import InputQueue
 from roughmap_service.inputs.receipts import ReceiptSender
-from roughmap_service.inputs.ros2 import Ros2Inputs, prepare
+from roughmap_service.inputs.ros2 import Ros2Inputs
+from roughmap_service.inputs.ros2_checks import prepare
 from roughmap_service.inputs.session import bound_messages, check_exposure, claim, endpoints, open_session, zenoh_config
 from roughmap_service.inputs.streams import Streams
 from roughmap_service.inputs.subscriptions import ZenohInputs

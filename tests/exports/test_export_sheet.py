@@ -4,16 +4,17 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roughmap.cell import TILE_CELLS
 from roughmap_service.exports.cut import cells_of, tiles_in
-from roughmap_service.exports.sheet import SIDE, Sheet
+from roughmap_service.exports.sheet import Sheet
 
 TILES = st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), min_size=1, max_size=8, unique=True)
 
 
 def plane(x: int, y: int) -> np.ndarray:
     """Each cell's own numbers, so that a cell in a wrong place shows."""
-    j, i = np.mgrid[0:SIDE, 0:SIDE]
-    return np.stack([x * SIDE + i, y * SIDE + j], axis=-1).astype(np.float32)
+    j, i = np.mgrid[0:TILE_CELLS, 0:TILE_CELLS]
+    return np.stack([x * TILE_CELLS + i, y * TILE_CELLS + j], axis=-1).astype(np.float32)
 
 
 @given(TILES, st.tuples(*[st.integers(-200, 200)] * 2), st.tuples(*[st.integers(1, 250)] * 2), st.booleans())
@@ -22,13 +23,13 @@ def test_bands_are_the_rectangle(tiles: list, low: tuple[int, int], size: tuple[
     chosen = tiles_in(np.array(tiles, np.int64), cells)
     sheet = Sheet(("mean_height", "count"), cells, 0.1, chosen, plane)
     bands = list(sheet.bands(upward=upward))
-    assert max(len(band) for band in bands) <= SIDE
+    assert max(len(band) for band in bands) <= TILE_CELLS
     whole = np.concatenate(bands)
     if not upward:
         whole = whole[::-1]
     assert whole.shape == (size[1], size[0], 2)
     j, i = np.mgrid[cells[1] : cells[3], cells[0] : cells[2]]
-    known = np.isin((i // SIDE) * 100 + j // SIDE, [x * 100 + y for x, y in tiles])
+    known = np.isin((i // TILE_CELLS) * 100 + j // TILE_CELLS, [x * 100 + y for x, y in tiles])
     assert np.array_equal(whole[:, :, 0], np.where(known, i, np.nan).astype(np.float32), equal_nan=True)
     assert np.array_equal(whole[:, :, 1], np.where(known, j, 0).astype(np.float32))
 
@@ -38,10 +39,10 @@ def test_without_a_box_all_tiles_are_whole(tiles: list) -> None:
     known = np.array(tiles, np.int64)
     cells = cells_of(known, 0.1, None)
     assert len(tiles_in(known, cells)) == len(known)
-    assert {value % SIDE for value in cells} == {0}
+    assert {value % TILE_CELLS for value in cells} == {0}
 
 
 def test_one_layer_of_a_sheet_is_drawn_alone() -> None:
-    sheet = Sheet(("mean_height", "count"), (0, 0, SIDE, SIDE), 0.1, np.zeros((1, 2), np.int64), plane)
+    sheet = Sheet(("mean_height", "count"), (0, 0, TILE_CELLS, TILE_CELLS), 0.1, np.zeros((1, 2), np.int64), plane)
     (part,) = sheet.only("count").parts()
     assert np.array_equal(part.values[:, :, 0], plane(0, 0)[:, :, 1])

@@ -3,6 +3,7 @@
 import json
 import signal
 import threading
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -25,10 +26,13 @@ from service_tools import LoggedRun
 
 from roughmap_schemas import Config, encode_odometry, encode_transform
 from roughmap_schemas.kinds import Kind
+from roughmap_schemas.reasons import CloudReason
 from roughmap_service.cli.main import run as command
 from roughmap_service.formats.options import ReadOptions
 from roughmap_service.inputs.queue import InputMessage
 from roughmap_service.offline.building import Progress, Wanted, build_map, interrupting
+from roughmap_service.offline.message_run import TAKEN, Counts
+from roughmap_service.offline.unmapped import why_unmapped
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 SENSOR = {"range_sigma": 0.03, "extrinsics": "transform"}
@@ -223,3 +227,13 @@ def test_nothing_is_written_if_a_bag_is_damaged(tmp_path: Path, capsys: pytest.C
     assert "damaged at offset" in err
     assert err.count("\n") == 1
     assert not (tmp_path / "map.db").exists()
+
+
+@pytest.mark.parametrize("reason", CloudReason)
+def test_every_reason_has_a_remedy(reason: CloudReason) -> None:
+    counts = Counts(clouds=Counter({str(reason): 3}), poses=Counter({TAKEN: 9}))
+    line = why_unmapped(counts, Config(), "robot", {"lidar"})
+    assert line is not None
+    assert line.startswith(f"3 of 3 clouds were rejected as {reason} (")
+    assert "; " in line
+    assert "{" not in line

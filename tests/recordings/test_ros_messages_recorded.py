@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from roughmap_ros.messages import BadRosMessage, cloud_message, get_map_reply_cdr, odometry_message, type_hash
+from roughmap_ros.messages import BadRosMessage, cloud_message, occupancy, occupancy_grid_cdr, read_odometry, type_hash
 from roughmap_schemas.cloud import decode_cloud
 
 
@@ -25,7 +25,7 @@ def test_its_keys_have_our_hashes(ros_samples: dict[str, Any]) -> None:
 
 
 def test_its_odometry_is_read(ros_samples: dict[str, Any]) -> None:
-    read = odometry_message(bytes.fromhex(ros_samples["samples"]["ros_odom"]["payload"]), 7)
+    read = read_odometry(bytes.fromhex(ros_samples["samples"]["ros_odom"]["payload"]))
     assert (read.stamp_ns, read.frame_id, read.body_frame_id) == (1_000_000_000, "odom", "base_link")
     assert (read.position, read.rotation) == ((0.0, 2.5, 0.0), (0.0, 0.0, 0.0, 1.0))
     np.testing.assert_array_equal(read.covariance, np.zeros((6, 6)))
@@ -34,7 +34,7 @@ def test_its_odometry_is_read(ros_samples: dict[str, Any]) -> None:
 def test_its_grid_is_ours_but_for_padding(ros_samples: dict[str, Any]) -> None:
     theirs = bytes.fromhex(ros_samples["samples"]["ros_map"]["payload"])
     ease = np.array([[np.nan, 1.0, 0.5], [0.0, 1.0, np.nan]], np.float32)
-    ours = get_map_reply_cdr(ease, (0.0, 0.0), 0.1, 0, "map")
+    ours = occupancy_grid_cdr(occupancy(ease), (0.0, 0.0), 0.1, 0, "map")
     assert theirs[40:44] == b"t_ty"  # what happened to be in memory before a number at a multiple of eight
     assert ours == theirs[:40] + bytes(4) + theirs[44:]
 

@@ -125,7 +125,7 @@ def test_a_peer_where_ros_nodes_look_for_their_router_is_wrong(
     mode: str, wrong: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from roughmap_schemas import Config
-    from roughmap_service.inputs.ros2 import standing
+    from roughmap_service.inputs.ros2_checks import standing
 
     given = settings() | {"zenoh": {"listen": ["tcp/127.0.0.1:7447"], "mode": mode}}
     assert (standing(Config.model_validate(given)) is not None) == wrong

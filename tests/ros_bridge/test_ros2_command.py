@@ -1,6 +1,7 @@
 """`roughmap ros2`, a process beside a service without [ros2]: the same messages in, the same map out."""
 
 import json
+import logging
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -103,6 +104,7 @@ def test_without_topics_it_says_what_to_configure(capsys: Any, tmp_path: Path, m
 
 def test_a_topic_that_can_never_be_published_is_told_at_once(capsys: Any, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
+    before = logging.getLogger().handlers[:], signal.getsignal(signal.SIGINT)
     for out, word in (
         ({"box": [0, 0, 1000, 1000]}, "query.max_region_cells"),
         ({"level": 40}, "map.levels"),
@@ -114,3 +116,4 @@ def test_a_topic_that_can_never_be_published_is_told_at_once(capsys: Any, tmp_pa
         assert word in capsys.readouterr().err
     assert run(["ros2", "--set", 'ros2.out={"3d": {"type": "GridMap", "box": [0, 0, 1, 1], "topic": "/3d"}}']) == 2
     assert "/3d" in capsys.readouterr().err
+    assert (logging.getLogger().handlers, signal.getsignal(signal.SIGINT)) == before

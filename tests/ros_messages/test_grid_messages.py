@@ -7,9 +7,9 @@ from ros_decoded import decoded_by_mcap
 
 from roughmap_ros.messages import (
     BadRosMessage,
-    get_map_reply_cdr,
     grid_map_arrays,
     grid_map_cdr,
+    occupancy,
     occupancy_grid_cdr,
     occupancy_update_cdr,
 )
@@ -22,7 +22,7 @@ EASE = np.array([[1.0, 0.75, 0.0], [NAN, 0.001, 0.5]], np.float32)
 
 def test_an_occupancy_grid_has_place_size_and_costs() -> None:
     grid = decoded_by_mcap(
-        "nav_msgs/msg/OccupancyGrid", occupancy_grid_cdr(EASE, (500_000.25, -3.5), 0.1, STAMP, "map")
+        "nav_msgs/msg/OccupancyGrid", occupancy_grid_cdr(occupancy(EASE), (500_000.25, -3.5), 0.1, STAMP, "map")
     )
     assert (grid.header.stamp.sec, grid.header.stamp.nanosec, grid.header.frame_id) == (12, 34, "map")
     info = grid.info
@@ -35,17 +35,13 @@ def test_an_occupancy_grid_has_place_size_and_costs() -> None:
 
 def test_a_threshold_makes_cells_free_or_occupied() -> None:
     ease = np.array([[0.7, 0.69, NAN]], np.float32)
-    grid = decoded_by_mcap("nav_msgs/msg/OccupancyGrid", occupancy_grid_cdr(ease, (0, 0), 0.1, STAMP, "map", 0.7))
-    assert list(grid.data) == [0, 100, -1]
-
-
-def test_the_reply_of_get_map_is_the_grid() -> None:
-    arguments = (EASE, (1.0, 2.0), 0.1, STAMP, "map", 0.5)
-    assert get_map_reply_cdr(*arguments) == occupancy_grid_cdr(*arguments)
+    assert occupancy(ease, 0.7).tolist() == [[0, 100, -1]]
 
 
 def test_an_update_says_which_cells_it_has() -> None:
-    update = decoded_by_mcap("map_msgs/msg/OccupancyGridUpdate", occupancy_update_cdr(EASE, 7, 9, STAMP, "map"))
+    update = decoded_by_mcap(
+        "map_msgs/msg/OccupancyGridUpdate", occupancy_update_cdr(occupancy(EASE), 7, 9, STAMP, "map")
+    )
     assert (update.x, update.y, update.width, update.height) == (7, 9, 3, 2)
     assert list(update.data) == [0, 25, 100, -1, 99, 50]
 

@@ -11,7 +11,7 @@ from properties import examples
 
 from roughmap_ros.wire import SENSOR_DATA, Entity, Kind, Qos
 from roughmap_ros.wire.attachment import Attachment, BadAttachment, pack_attachment, unpack_attachment
-from roughmap_ros.wire.keys import DataKey, bridge_key, check_name, dds_name, parse_data_key, ros_name
+from roughmap_ros.wire.keys import DataKey, bridge_key, check_name, dds_name, ros_name
 from roughmap_ros.wire.qos import bridge_qos_text, parse_qos, qos_text
 from roughmap_ros.wire.tokens import bridge_token, parse_token
 
@@ -51,19 +51,7 @@ ENDPOINTS = st.builds(
 
 
 def test_a_data_key_has_domain_topic_type_and_hash() -> None:
-    key = DataKey(0, "/robot/points", "sensor_msgs/msg/PointCloud2", HASH)
-    assert key.text == POINTS
-    assert parse_data_key(POINTS) == key
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "0", "points", "x/points/a::msg::dds_::B_/h", "0/a::msg::dds_::B_/h", "0/points/Image/h",
-     "0/p p/a::msg::dds_::B_/h", "0/points/a::msg::dds_::B_/", "²/points/a::msg::dds_::B_/h",
-     "0//points/a::msg::dds_::B_/h"],
-)  # fmt: skip
-def test_what_is_no_data_key_is_none(text: str) -> None:
-    assert parse_data_key(text) is None
+    assert DataKey(0, "/robot/points", "sensor_msgs/msg/PointCloud2", HASH).text == POINTS
 
 
 def test_the_key_of_a_bridge_is_the_topic_without_its_first_slash() -> None:

@@ -5,7 +5,7 @@ cdr.py       reads CDR, either byte order, within bounds
 clouds.py    PointCloud2 in
 livox.py     Livox's CustomMsg in
 poses.py     Odometry, PoseWithCovarianceStamped and PoseStamped in; TFMessage in and out
-grids.py     OccupancyGrid, OccupancyGridUpdate and the reply of GetMap out
+grids.py     OccupancyGrid, OccupancyGridUpdate out
 grid_maps.py GridMap out and in
 cells.py     PointCloud2 of cells out
 """
@@ -14,13 +14,13 @@ from roughmap_ros.messages.cdr import BadRosMessage
 from roughmap_ros.messages.cells import cells_cdr
 from roughmap_ros.messages.clouds import cloud_message
 from roughmap_ros.messages.grid_maps import GridMapRead, grid_map_arrays, grid_map_cdr
-from roughmap_ros.messages.grids import get_map_reply_cdr, occupancy_grid_cdr, occupancy_update_cdr
+from roughmap_ros.messages.grids import occupancy, occupancy_grid_cdr, occupancy_update_cdr
 from roughmap_ros.messages.livox import livox_message
 from roughmap_ros.messages.poses import (
     PoseRead,
-    odometry_message,
-    pose_message,
-    pose_stamped_message,
+    read_odometry,
+    read_pose,
+    read_pose_stamped,
     tf_cdr,
     transforms_of,
 )
@@ -33,15 +33,15 @@ __all__ = [
     "PoseRead",
     "cells_cdr",
     "cloud_message",
-    "get_map_reply_cdr",
     "grid_map_arrays",
     "grid_map_cdr",
     "livox_message",
+    "occupancy",
     "occupancy_grid_cdr",
     "occupancy_update_cdr",
-    "odometry_message",
-    "pose_message",
-    "pose_stamped_message",
+    "read_odometry",
+    "read_pose",
+    "read_pose_stamped",
     "tf_cdr",
     "transforms_of",
     "type_hash",

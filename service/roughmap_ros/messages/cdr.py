@@ -126,3 +126,8 @@ class CdrReader:
         left = len(self._cdr) - self._at
         if left > PADDING:
             raise self.bad(f"expected the end at byte {self._at}; found {left} more bytes")
+
+
+def read_header(cdr: bytes) -> Header:
+    """Read the std_msgs/Header with which a message begins; raises ``BadRosMessage``."""
+    return CdrReader(cdr, "std_msgs/Header").header()

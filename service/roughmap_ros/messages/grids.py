@@ -12,9 +12,10 @@ from roughmap_ros.messages.poses import header_of, pose_of, time_of
 from roughmap_ros.messages.types import OCCUPANCY_GRID, OCCUPANCY_UPDATE, TYPES, make
 
 Numbers = npt.NDArray[np.floating[Any]]
+Occupancy = npt.NDArray[np.int8]
 
 
-def occupancy(traversability: Numbers, threshold: float | None = None) -> npt.NDArray[np.int8]:
+def occupancy(traversability: Numbers, threshold: float | None = None) -> Occupancy:
     """Return the occupancy of cells, of the same shape.
 
     By default 100 (1 - traversability), rounded, but at most 99 where a cell is not impassable: Nav2 takes 100 as the
@@ -33,19 +34,14 @@ def occupancy(traversability: Numbers, threshold: float | None = None) -> npt.ND
 
 
 def occupancy_grid_cdr(
-    traversability: Numbers,
-    origin: tuple[float, float],
-    cell_size: float,
-    stamp_ns: int,
-    frame_id: str,
-    threshold: float | None = None,
+    values: Occupancy, origin: tuple[float, float], cell_size: float, stamp_ns: int, frame_id: str
 ) -> bytes:
-    """Write a nav_msgs/OccupancyGrid.
+    """Write a nav_msgs/OccupancyGrid, which is the reply of nav_msgs/GetMap too: that has no other field.
 
-    ``traversability`` (rows along y, columns along x), both from the lowest; ``origin`` is the low corner of the first
-    cell in ``frame_id``, metres.
+    ``values``: `occupancy` (rows along y, columns along x), both from the lowest; ``origin`` is the low corner of the
+    first cell in ``frame_id``, metres.
     """
-    rows, columns = traversability.shape
+    rows, columns = values.shape
     message = make(
         OCCUPANCY_GRID,
         header=header_of(stamp_ns, frame_id),
@@ -57,28 +53,14 @@ def occupancy_grid_cdr(
             height=rows,
             origin=pose_of(*origin),
         ),
-        data=occupancy(traversability, threshold).reshape(-1),
+        data=values.reshape(-1),
     )
     return bytes(TYPES.serialize_cdr(message, OCCUPANCY_GRID, little_endian=True))
 
 
-def get_map_reply_cdr(
-    traversability: Numbers,
-    origin: tuple[float, float],
-    cell_size: float,
-    stamp_ns: int,
-    frame_id: str,
-    threshold: float | None = None,
-) -> bytes:
-    """Write the reply of nav_msgs/GetMap, from the same as an OccupancyGrid: that is its only field."""
-    return occupancy_grid_cdr(traversability, origin, cell_size, stamp_ns, frame_id, threshold)
-
-
-def occupancy_update_cdr(
-    traversability: Numbers, column: int, row: int, stamp_ns: int, frame_id: str, threshold: float | None = None
-) -> bytes:
+def occupancy_update_cdr(values: Occupancy, column: int, row: int, stamp_ns: int, frame_id: str) -> bytes:
     """Write a map_msgs/OccupancyGridUpdate: cells that changed, the first at ``column`` and ``row`` of the grid."""
-    rows, columns = traversability.shape
+    rows, columns = values.shape
     message = make(
         OCCUPANCY_UPDATE,
         header=header_of(stamp_ns, frame_id),
@@ -86,6 +68,6 @@ def occupancy_update_cdr(
         y=row,
         width=columns,
         height=rows,
-        data=occupancy(traversability, threshold).reshape(-1),
+        data=values.reshape(-1),
     )
     return bytes(TYPES.serialize_cdr(message, OCCUPANCY_UPDATE, little_endian=True))

@@ -11,8 +11,6 @@ import numpy.typing as npt
 from roughmap_ros.messages.cdr import CdrReader, Header
 from roughmap_ros.messages.types import TF, TYPES, make
 from roughmap_schemas.geometry import SECOND_NS, Quaternion, Vector, normalised
-from roughmap_schemas.kinds import Kind, RobotMessage
-from roughmap_schemas.odometry import encode_odometry
 from roughmap_schemas.transform import Transform
 
 MAX_TRANSFORMS: Final = 4096
@@ -21,7 +19,7 @@ MAX_TRANSFORMS: Final = 4096
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseRead:
-    """The pose of ``body_frame_id`` in ``frame_id`` at ``stamp_ns``, as a ROS message gave it at ``log_ns``.
+    """The pose of ``body_frame_id`` in ``frame_id`` at ``stamp_ns``, as a ROS message gave it.
 
     ``position`` in metres, ``rotation`` a unit quaternion x, y, z, w. ``covariance`` (6, 6) float64 as given, order x y
     z roll pitch yaw, metres and radians; None from a message that has none. ``body_frame_id`` is empty unless the
@@ -34,49 +32,41 @@ class PoseRead:
     position: Vector
     rotation: Quaternion
     covariance: npt.NDArray[np.float64] | None
-    log_ns: int
-
-    def message(self) -> RobotMessage:
-        """Return it as a message of the contract."""
-        payload = encode_odometry(
-            self.stamp_ns, self.frame_id, self.position, self.rotation, self.covariance, self.body_frame_id
-        )
-        return RobotMessage(Kind.ODOMETRY, payload, self.log_ns)
 
 
-def odometry_message(cdr: bytes, log_ns: int) -> PoseRead:
+def read_odometry(cdr: bytes) -> PoseRead:
     """Read a nav_msgs/Odometry; its velocities are left out. Raises ``BadRosMessage``."""
     reader = CdrReader(cdr, "nav_msgs/Odometry")
     header, body = reader.header(), reader.frame()
     numbers = reader.float64s(7 + 36)
     reader.skip(8 * (6 + 36))
     reader.end()
-    return _pose(reader, header, body, numbers, log_ns)
+    return _pose(reader, header, body, numbers)
 
 
-def pose_message(cdr: bytes, log_ns: int) -> PoseRead:
+def read_pose(cdr: bytes) -> PoseRead:
     """Read a geometry_msgs/PoseWithCovarianceStamped; raises ``BadRosMessage``."""
     reader = CdrReader(cdr, "geometry_msgs/PoseWithCovarianceStamped")
     header, numbers = reader.header(), reader.float64s(7 + 36)
     reader.end()
-    return _pose(reader, header, "", numbers, log_ns)
+    return _pose(reader, header, "", numbers)
 
 
-def pose_stamped_message(cdr: bytes, log_ns: int) -> PoseRead:
+def read_pose_stamped(cdr: bytes) -> PoseRead:
     """Read a geometry_msgs/PoseStamped; raises ``BadRosMessage``."""
     reader = CdrReader(cdr, "geometry_msgs/PoseStamped")
     header, numbers = reader.header(), reader.float64s(7)
     reader.end()
-    return _pose(reader, header, "", numbers, log_ns)
+    return _pose(reader, header, "", numbers)
 
 
-def _pose(reader: CdrReader, header: Header, body: str, numbers: Sequence[float], log_ns: int) -> PoseRead:
+def _pose(reader: CdrReader, header: Header, body: str, numbers: Sequence[float]) -> PoseRead:
     """Check a pose: position, quaternion and, if there are more numbers, covariance."""
     where = _placed(numbers)
     if where is None:
         raise reader.bad(f"expected a finite position and a quaternion of norm 1; found {tuple(numbers[:7])}")
     covariance = np.array(numbers[7:]).reshape(6, 6) if len(numbers) > 7 else None
-    return PoseRead(header.stamp_ns, header.frame_id, body, *where, covariance, log_ns)
+    return PoseRead(header.stamp_ns, header.frame_id, body, *where, covariance)
 
 
 def _placed(numbers: Sequence[float]) -> tuple[Vector, Quaternion] | None:

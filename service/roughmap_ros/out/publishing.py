@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
-from roughmap_client import Region, RoughMapClient, RoughMapError, Version
+from roughmap_client import RoughMapClient, RoughMapError, Version
 from roughmap_ros.out.topics import MapTopic, Shown
-from roughmap_ros.out.window import Window, window
+from roughmap_ros.out.window import window
 from roughmap_schemas.messages import MapStatus
 
 logger = logging.getLogger(__name__)
@@ -95,9 +95,6 @@ class MapPublisher:
         cells = window(out, status.cell_size, None if out.box is not None else self._position(topic.robot))
         if cells is None:
             return None
-        region = self._ask(topic, cells)
+        region = self._client.region(cells.asked, topic.layers, level=out.level)
         topic.show(Shown(region, cells, status.frame_id, status.newest_stamp_ns or time.time_ns()))
         return region.version
-
-    def _ask(self, topic: MapTopic, cells: Window) -> Region:
-        return self._client.region(cells.asked, topic.layers, level=topic.out.level)

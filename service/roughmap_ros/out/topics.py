@@ -4,15 +4,14 @@ import itertools
 import math
 import re
 from collections.abc import Mapping
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from roughmap_client import Region
 from roughmap_ros.messages.cells import cells_cdr
 from roughmap_ros.messages.grid_maps import grid_map_cdr
-from roughmap_ros.messages.grids import get_map_reply_cdr, occupancy, occupancy_grid_cdr, occupancy_update_cdr
+from roughmap_ros.messages.grids import Occupancy, occupancy, occupancy_grid_cdr, occupancy_update_cdr
 from roughmap_ros.messages.poses import tf_cdr
 from roughmap_ros.messages.types import (
     GET_MAP,
@@ -88,6 +87,17 @@ class GridMapTopic:
         """Nothing is unfinished."""
 
 
+class _Grid(NamedTuple):
+    """A part of the map, and the occupancy of its cells."""
+
+    shown: Shown
+    values: Occupancy
+
+    def cdr(self) -> bytes:
+        shown, region = self.shown, self.shown.region
+        return occupancy_grid_cdr(self.values, region.origin, region.cell_size, shown.stamp_ns, shown.frame_id)
+
+
 class OccupancyTopic:
     """nav_msgs/OccupancyGrid, map_msgs/OccupancyGridUpdate on TOPIC_updates, and nav_msgs/GetMap at TOPIC/get_map.
 
@@ -103,21 +113,19 @@ class OccupancyTopic:
         self._publisher = node.publisher(topic, OCCUPANCY_GRID, type_hash(OCCUPANCY_GRID), LATCHED)
         update_hash = type_hash(OCCUPANCY_UPDATE)
         self._updates = node.publisher(f"{topic}_updates", OCCUPANCY_UPDATE, update_hash, LATCHED)
-        self._newest: Shown | None = None
-        self._values = np.empty((0, 0), np.int8)
+        self._newest: _Grid | None = None
         self._touched = np.empty((0, 0), np.bool_)
         """Cells that changed since the last whole grid."""
         node.service(f"{topic}/get_map", GET_MAP, type_hash(GET_MAP), self._get_map)
 
     def show(self, shown: Shown) -> None:
         """Publish the window, or what has changed in it."""
-        before, self._newest = self._newest, shown
         values = occupancy(shown.region["traversability"], self.out.threshold)
-        held, self._values = self._values, values
-        if before is None or before.window != shown.window or held.shape != values.shape:
+        before, self._newest = self._newest, _Grid(shown, values)
+        if before is None or before.shown.window != shown.window or before.values.shape != values.shape:
             self._send()
             return
-        changed = values != held
+        changed = values != before.values
         if not changed.any():
             return
         self._touched |= changed
@@ -126,12 +134,8 @@ class OccupancyTopic:
         if values[box].size > MOST_UPDATED * values.size:
             self._send()
             return
-        self._updates.put(
-            occupancy_update_cdr(
-                shown.region["traversability"][box], int(columns[0]), int(rows[0]), shown.stamp_ns, shown.frame_id,
-                self.out.threshold,
-            )
-        )  # fmt: skip
+        column, row = int(columns[0]), int(rows[0])
+        self._updates.put(occupancy_update_cdr(values[box], column, row, shown.stamp_ns, shown.frame_id))
 
     def rest(self) -> None:
         """Send the whole grid, if updates were the last that was sent."""
@@ -140,15 +144,13 @@ class OccupancyTopic:
 
     def _send(self) -> None:
         if self._newest is not None:
-            self._publisher.put(occupancy_grid_cdr(*_grid(self._newest), self.out.threshold))
-        self._touched = np.zeros(self._values.shape, np.bool_)
+            self._publisher.put(self._newest.cdr())
+            self._touched = np.zeros(self._newest.values.shape, np.bool_)
 
     def _get_map(self, _request: bytes) -> bytes:
         """Answer with the newest grid; an empty one before there is any."""
         newest = self._newest
-        if newest is None:
-            return get_map_reply_cdr(np.empty((0, 0), np.float32), (0.0, 0.0), 1.0, 0, "")
-        return get_map_reply_cdr(*_grid(newest), self.out.threshold)
+        return occupancy_grid_cdr(np.empty((0, 0), np.int8), (0.0, 0.0), 1.0, 0, "") if newest is None else newest.cdr()
 
 
 class CellsTopic:
@@ -229,8 +231,3 @@ def map_topics(node: RosNode, config: Ros2Config) -> Mapping[str, MapTopic]:
             frames = frames or LocalFrames(node)
             found[name] = CellsTopic(node, topic, robot, out, frames, next(local))
     return found
-
-
-def _grid(shown: Shown) -> tuple[npt.NDArray[Any], tuple[float, float], float, int, str]:
-    region = shown.region
-    return region["traversability"], region.origin, region.cell_size, shown.stamp_ns, shown.frame_id

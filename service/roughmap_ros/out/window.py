@@ -5,6 +5,9 @@ from typing import NamedTuple
 
 from roughmap_schemas.ros2_sections import Ros2OutConfig
 
+SLACK = 1e-6
+"""Part of a cell by which an edge may miss the border between two cells: 0.3 / 0.1 is less than 3."""
+
 
 class Window(NamedTuple):
     """Cells of one level: ``nx`` columns from ``x`` on and ``ny`` rows from ``y`` on, of ``side`` metres.
@@ -47,7 +50,3 @@ def window(out: Ros2OutConfig, cell_size: float, position: tuple[float, float] |
     nx, ny = (max(math.ceil(size / side - SLACK), 1) for size in out.size)
     x, y = (math.floor(at / side - n / 2 + 0.5) for at, n in zip(position, (nx, ny), strict=True))
     return Window(x, y, nx, ny, side)
-
-
-SLACK = 1e-6
-"""Part of a cell by which an edge may miss the border between two cells: 0.3 / 0.1 is less than 3."""

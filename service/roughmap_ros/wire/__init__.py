@@ -13,8 +13,7 @@ router.py       what a Zenoh session needs beside ROS nodes
 `RosNode` alone knows Zenoh sessions; all else takes and gives plain values.
 """
 
-from roughmap_ros.wire.matching import matching_problems
-from roughmap_ros.wire.node import RosNode, endpoints_seen
+from roughmap_ros.wire.node import RosNode
 from roughmap_ros.wire.publisher import RosPublisher, enable_timestamps
 from roughmap_ros.wire.qos import SENSOR_DATA, Qos
 from roughmap_ros.wire.router import router_problem
@@ -30,7 +29,5 @@ __all__ = [
     "RosNode",
     "RosPublisher",
     "enable_timestamps",
-    "endpoints_seen",
-    "matching_problems",
     "router_problem",
 ]

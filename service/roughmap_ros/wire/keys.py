@@ -29,17 +29,6 @@ class DataKey(NamedTuple):
         return f"{self.domain}/{self.topic.strip('/')}/{dds_name(self.ros_type)}/{self.type_hash}"
 
 
-def parse_data_key(key: str) -> DataKey | None:
-    """Read a data key of rmw_zenoh; None if it is none."""
-    parts = key.split("/")
-    if len(parts) < 4 or DOMAIN.fullmatch(parts[0]) is None:
-        return None
-    topic, ros_type = "/" + "/".join(parts[1:-2]), ros_name(parts[-2])
-    if ros_type is None or NAME.fullmatch(topic) is None or not parts[-1]:
-        return None
-    return DataKey(int(parts[0]), topic, ros_type, parts[-1])
-
-
 def bridge_key(name: str) -> str:
     """Return the key of a topic or service with zenoh-bridge-ros2dds."""
     return name.removeprefix("/")

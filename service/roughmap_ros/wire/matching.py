@@ -32,21 +32,13 @@ MAX_NAMED: Final = 5
 """Topics and nodes that one line names."""
 
 
-def matching_problems(ours: Sequence[Entity], others: Sequence[Entity]) -> list[str]:
-    """Return a line for each endpoint of another node that does not fit one of ours, and each topic without publisher.
-
-    The lines are sorted; each begins with the topic.
-    """
-    return sorted(mismatches(ours, others) + unpublished(ours, others))
-
-
 def mismatches(ours: Sequence[Entity], others: Sequence[Entity]) -> list[str]:
-    """Return a line for each endpoint of another node that does not fit one of ours, sorted."""
+    """Return a line for each endpoint of another node that does not fit ours, sorted; it begins with the topic."""
     return sorted({line for own in ours for other in others if (line := mismatch(own, other)) is not None})
 
 
 def unpublished(ours: Sequence[Entity], others: Sequence[Entity]) -> list[str]:
-    """Return a line for each of our subscribers without a publisher, sorted."""
+    """Return a line for each of our subscribers without a publisher, sorted; it begins with the topic."""
     return sorted({line for own in ours if (line := _unpublished(own, others)) is not None})
 
 

@@ -10,7 +10,7 @@ import zenoh
 
 from roughmap_ros.wire.errors import zenoh_errors
 from roughmap_ros.wire.keys import DataKey, KeyStyle, bridge_key, check_name, dds_name
-from roughmap_ros.wire.matching import matching_problems, mismatches, unpublished
+from roughmap_ros.wire.matching import mismatches, unpublished
 from roughmap_ros.wire.publisher import RosPublisher
 from roughmap_ros.wire.qos import SERVICE, Qos, qos_text
 from roughmap_ros.wire.refusals import Refusals
@@ -129,12 +129,6 @@ class RosNode:
     def unpublished(self) -> list[str]:
         """Return a line for each subscribed topic that no other node publishes; none with ros2dds. As `seen`."""
         return unpublished(self._ours, self.seen()) if self._rmw else []
-
-    def problems(self) -> list[str]:
-        """Return a line for each endpoint of other nodes that does not fit ours, and for refused messages. As `seen`,
-        not for callbacks."""
-        others = matching_problems(self._ours, self.seen()) if self._rmw else []
-        return others + self._refusals.lines()
 
     @property
     def refused(self) -> dict[tuple[str, str], int]:

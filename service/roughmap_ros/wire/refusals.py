@@ -6,6 +6,14 @@ from typing import Final
 MAX_REASONS: Final = 64
 """Reasons that are told apart; those of later ones count as others."""
 
+LARGER: Final = "larger than"
+"""How the reason begins if a message is too large."""
+
+
+def larger_than(limit: int) -> str:
+    """Return the reason for refusing a message of more bytes than the limit."""
+    return f"{LARGER} {limit} bytes (input.max_message)"
+
 
 class Refusals:
     """Counts of refused messages. Any thread may use it."""
@@ -26,10 +34,3 @@ class Refusals:
         """Counts by topic and reason."""
         with self._lock:
             return dict(self._counts)
-
-    def lines(self) -> list[str]:
-        """Return a line for each topic and reason."""
-        return [
-            f"{topic}: {number} {'message' if number == 1 else 'messages'} refused: {reason}"
-            for (topic, reason), number in sorted(self.counts.items())
-        ]

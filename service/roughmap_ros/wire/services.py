@@ -11,7 +11,7 @@ import zenoh
 
 from roughmap_ros.wire.attachment import Attachment, pack_attachment
 from roughmap_ros.wire.errors import zenoh_errors
-from roughmap_ros.wire.refusals import Refusals
+from roughmap_ros.wire.refusals import Refusals, larger_than
 from roughmap_ros.wire.subscriber import Refused, read_attachment
 from roughmap_schemas.faults import ReportedError
 
@@ -74,7 +74,7 @@ class Services:
             if payload is None:
                 raise Refused("expected a request in CDR; found none")
             if len(payload) > self._max_message:
-                raise Refused(f"larger than {self._max_message} bytes (input.max_message)")
+                raise Refused(larger_than(self._max_message))
             beside = read_attachment(query.attachment) if service.attached else None
             self._waiting.put_nowait(Request(service, query, payload.to_bytes(), beside))
         except queue.Full:

@@ -13,7 +13,7 @@ from roughmap_ros.wire.errors import zenoh_errors
 from roughmap_ros.wire.matching import NO_HASH, NO_HASH_TEXT, hash_text
 from roughmap_ros.wire.publisher import ALL
 from roughmap_ros.wire.qos import Qos
-from roughmap_ros.wire.refusals import Refusals
+from roughmap_ros.wire.refusals import Refusals, larger_than
 from roughmap_schemas.faults import ReportedError
 
 logger = logging.getLogger(__name__)
@@ -69,7 +69,7 @@ class Intake(NamedTuple):
             if found != self.type_hash:
                 raise Refused(hash_text(self.ros_type, found, self.type_hash))
         if len(sample.payload) > self.max_message:
-            raise Refused(f"larger than {self.max_message} bytes (input.max_message)")
+            raise Refused(larger_than(self.max_message))
         return None if self.type_hash is None else read_attachment(sample.attachment)
 
 

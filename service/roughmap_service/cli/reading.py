@@ -49,8 +49,6 @@ def read_options(config: "Config", robot: str | None, given: Mapping[str, Any], 
 
     clouds, odometry = tuple(given["topics"]), given["odometry"]
     known = None if clouds or odometry or robot is None else config.ros2.robots.get(robot)
-    own = config.robots.get(robot or "")
-    sensors = {**config.sensors, **({} if own is None else own.sensors)}
     return ReadOptions(
         scan_seconds=given["scan_seconds"],
         poses=given["poses"],
@@ -58,7 +56,7 @@ def read_options(config: "Config", robot: str | None, given: Mapping[str, Any], 
         clouds=clouds,
         odometry=odometry,
         map_frame=config.map.frame_id,
-        sensors=sensors,
+        sensors=config.sensors_of(robot or ""),
         any_sensor=any_sensor,
     )
 

@@ -62,11 +62,13 @@ def ros2(
     """
     from roughmap_client import RoughMapError
     from roughmap_service.host.log_lines import set_up
+    from roughmap_service.inputs.ros2_checks import check_topics
 
     loaded = load(config_path, settings)
     config = loaded.config
     if not config.ros2.active:
         raise BadUse("nothing to do: configure [ros2.robots.NAME] or [ros2.out.NAME]")
+    check_topics(config)
     set_up(config.service.log_format, config.service.log_level, sys.stderr)
     stop = threading.Event()
 
@@ -90,15 +92,15 @@ def _run(
     stop: threading.Event,
 ) -> None:
     from roughmap_client import RoughMapClient
-    from roughmap_ros.bridge import Bridge, robot_feeds
+    from roughmap_ros.bridge import Bridge, robot_feeds, ros_node
     from roughmap_ros.key_sink import KeySink
-    from roughmap_ros.wire import RosNode, enable_timestamps
+    from roughmap_ros.wire import enable_timestamps
     from roughmap_schemas import Keys
     from roughmap_service.cli.connection import client_config, open_client
-    from roughmap_service.inputs.ros2 import QUERY_S, Told, check_topics
+    from roughmap_service.inputs.ros2 import QUERY_S
+    from roughmap_service.inputs.ros2_problems import Told
 
     config = loaded.config
-    check_topics(config)
     with ExitStack() as stack:
         zenoh_config = client_config(loaded, connect, zenoh_file)
         enable_timestamps(zenoh_config)
@@ -110,12 +112,7 @@ def _run(
             ros_session = stack.enter_context(open_client(ros_config, wait))
         client = RoughMapClient(config.map.name, session=session, timeout=QUERY_S, keys=config.keys)
         status = client.status(timeout=wait)
-        node = stack.enter_context(
-            RosNode(
-                ros_session, config.ros2.node, keys=config.ros2.keys, domain=config.ros2.domain,
-                max_message=config.input.max_message,
-            )
-        )  # fmt: skip
+        node = stack.enter_context(ros_node(ros_session, config))
         sink = KeySink(session, Keys(config.map.name, config.keys))
         feeds = robot_feeds(config, status.frame_id)
         bridge = stack.enter_context(Bridge(node, config.ros2, feeds, sink.put, _refuse, client))

@@ -7,9 +7,8 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
 from roughmap_ros.messages import TYPES, grid_map_cdr
+from roughmap_ros.messages.types import GRID_MAP
 from roughmap_service.exports.sheet import ExportFault, Sheet
-
-GRID_MAP: Final = "grid_map_msgs/msg/GridMap"
 
 TOPIC: Final = "/grid_map"
 

@@ -27,7 +27,7 @@ def write_nav2(sheet: Sheet, file: Path, threshold: float) -> None:
     picture = file.with_suffix(".pgm")
     rows, columns = sheet.shape
     with picture.open("wb") as shades:
-        shades.write(f"P5\n# {_ascii(sheet.title)}\n{columns} {rows}\n255\n".encode())
+        shades.write(f"P5\n# {sheet.ascii_title}\n{columns} {rows}\n255\n".encode())
         for band in sheet.bands():
             values = band[:, :, 0]
             known = np.where(values >= np.float32(threshold), np.uint8(FREE), np.uint8(OCCUPIED))
@@ -38,7 +38,3 @@ def write_nav2(sheet: Sheet, file: Path, threshold: float) -> None:
         f"negate: 0\noccupied_thresh: {OCCUPIED_THRESHOLD}\nfree_thresh: {FREE_THRESHOLD}\n",
         encoding="ascii",
     )
-
-
-def _ascii(text: str) -> str:
-    return text.encode("ascii", "replace").decode().replace("\n", " ")

@@ -5,11 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from roughmap_service.exports.layer_rules import height_first
-from roughmap_service.exports.points import cell_points, local_origin
+from roughmap_service.exports.points import COUNT_DIGITS, cell_points, local_origin
 from roughmap_service.exports.sheet import Sheet
-
-COUNT_DIGITS = 12
-"""The number of points is known at the end, and the header has room for so many digits."""
 
 
 def write_pcd(sheet: Sheet, file: Path) -> None:
@@ -23,7 +20,7 @@ def write_pcd(sheet: Sheet, file: Path) -> None:
     x, y = local_origin(sheet)
     once = " ".join("1" for _ in fields)
     before = (
-        f"# .PCD v0.7 - {sheet.title.encode('ascii', 'replace').decode()}\n"
+        f"# .PCD v0.7 - {sheet.ascii_title}\n"
         f"# map coordinates are x + {x!r}, y + {y!r}\nVERSION 0.7\nFIELDS {' '.join(fields)}\n"
         f"SIZE {' '.join('4' for _ in fields)}\nTYPE {' '.join('F' for _ in fields)}\nCOUNT {once}\nWIDTH "
     )

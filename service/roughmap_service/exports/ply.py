@@ -5,11 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from roughmap_service.exports.layer_rules import height_first
-from roughmap_service.exports.points import cell_points
+from roughmap_service.exports.points import COUNT_DIGITS, cell_points
 from roughmap_service.exports.sheet import Sheet
-
-COUNT_DIGITS = 12
-"""The number of points is known at the end, and the header has room for so many digits."""
 
 
 def write_ply(sheet: Sheet, file: Path) -> None:
@@ -17,8 +14,7 @@ def write_ply(sheet: Sheet, file: Path) -> None:
     height_first(sheet.layers)
     row = np.dtype([("place", "<f8", (3,)), ("values", "<f4", (len(sheet.layers) - 1,))])
     properties = [f"property double {axis}" for axis in "xyz"] + [f"property float {name}" for name in sheet.layers[1:]]
-    title = sheet.title.encode("ascii", "replace").decode()
-    before = f"ply\nformat binary_little_endian 1.0\ncomment {title}\nelement vertex "
+    before = f"ply\nformat binary_little_endian 1.0\ncomment {sheet.ascii_title}\nelement vertex "
     with file.open("wb") as out:
         out.write(f"{before}{0:0{COUNT_DIGITS}d}\n".encode() + "\n".join([*properties, "end_header\n"]).encode())
         count = 0

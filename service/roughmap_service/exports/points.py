@@ -8,6 +8,12 @@ import numpy.typing as npt
 
 from roughmap_service.exports.sheet import Sheet
 
+COUNT_DIGITS = 12
+"""The number of points is known at the end, and headers have room for so many digits."""
+
+NEAR = 5000.0
+"""Metres from zero within which float32 keeps a quarter of a millimetre."""
+
 
 class CellPoints(NamedTuple):
     """The known cells of a tile: `places` (N, 3) float64 in the map frame, metres; `values` (N, L) float32."""
@@ -35,7 +41,3 @@ def local_origin(sheet: Sheet) -> tuple[float, float]:
     if max(abs(x0), abs(y0), abs(x1), abs(y1)) < NEAR:
         return 0.0, 0.0
     return round((x0 + x1) / 2, -2), round((y0 + y1) / 2, -2)
-
-
-NEAR = 5000.0
-"""Metres from zero within which float32 keeps a quarter of a millimetre."""

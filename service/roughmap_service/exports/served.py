@@ -5,9 +5,10 @@ from collections import OrderedDict
 import numpy as np
 import numpy.typing as npt
 
+from roughmap.cell import TILE_CELLS
 from roughmap_client import RoughMapClient, Tile
 from roughmap_service.exports.cut import Bbox, cells_of, tiles_in
-from roughmap_service.exports.sheet import SIDE, ExportFault, Plane, Sheet
+from roughmap_service.exports.sheet import ExportFault, Plane, Sheet
 
 BLOCK_LEVELS = 4
 """A tile so many levels up has 16 x 16 tiles under it: one answer."""
@@ -26,7 +27,7 @@ class ServedTiles:
         self._client = client
         self._layers = layers
         self._level = level
-        self._side = cell_size * SIDE
+        self._side = cell_size * TILE_CELLS
         self._runs: OrderedDict[tuple[int, int], dict[int, Tile]] = OrderedDict()
         self.versions: set[tuple[int, int]] = set()
 

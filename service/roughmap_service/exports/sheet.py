@@ -9,10 +9,8 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from roughmap.cell import TILE_CELLS
 from roughmap_schemas.faults import ReportedError
-
-SIDE: Final = 64
-"""Cells along a tile's side."""
 
 ZERO_WHERE_UNKNOWN: Final = frozenset({"count", "weight", "expected_count"})
 """Layers that are 0, not NaN, in unknown cells."""
@@ -75,6 +73,11 @@ class Sheet:
         return j1 - j0, i1 - i0
 
     @property
+    def ascii_title(self) -> str:
+        """The title as a line of ASCII, for headers."""
+        return self.title.encode("ascii", "replace").decode().replace("\n", " ")
+
+    @property
     def low(self) -> tuple[float, float]:
         """x and y of the lower-left corner, metres."""
         return self.cells[0] * self.cell_size, self.cells[1] * self.cell_size
@@ -90,9 +93,9 @@ class Sheet:
         i0, j0, i1, j1 = self.cells
         for done, (x, y) in enumerate(self.tiles[np.lexsort((self.tiles[:, 0], rows))].tolist(), 1):
             values = self.draw(x, y)
-            left, low = max(i0 - x * SIDE, 0), max(j0 - y * SIDE, 0)
-            right, top = min(i1 - x * SIDE, SIDE), min(j1 - y * SIDE, SIDE)
-            yield PartOfTile(x * SIDE + left - i0, y * SIDE + low - j0, values[low:top, left:right])
+            left, low = max(i0 - x * TILE_CELLS, 0), max(j0 - y * TILE_CELLS, 0)
+            right, top = min(i1 - x * TILE_CELLS, TILE_CELLS), min(j1 - y * TILE_CELLS, TILE_CELLS)
+            yield PartOfTile(x * TILE_CELLS + left - i0, y * TILE_CELLS + low - j0, values[low:top, left:right])
             self.watch(done, len(self.tiles))
 
     def bands(self, *, upward: bool = False) -> Iterator[Plane]:
@@ -116,8 +119,8 @@ class Sheet:
 
     def _unknown(self, rows: int) -> Iterator[Plane]:
         """Yield bands without a tile."""
-        for begin in range(0, rows, SIDE):
-            yield self._blank(min(SIDE, rows - begin))
+        for begin in range(0, rows, TILE_CELLS):
+            yield self._blank(min(TILE_CELLS, rows - begin))
 
     def _blank(self, rows: int) -> Plane:
         band = np.empty((rows, self.shape[1], len(self.layers)), np.float32)

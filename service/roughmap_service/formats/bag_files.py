@@ -9,29 +9,14 @@ from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
 
-from roughmap_ros.messages import TYPES as STORE
-from roughmap_ros.messages import BadRosMessage
-from roughmap_ros.messages.cdr import CdrReader
+from roughmap_ros.messages import TYPES
 from roughmap_service.formats.damage import damage
 from roughmap_service.formats.recorded import CloudFileFault
 from roughmap_service.formats.robot_messages import Raw
-from roughmap_service.formats.topics import Role, Topic
+from roughmap_service.formats.topics import Topic, absolute, role_of
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
-
-TYPES: dict[str, tuple[str, Role]] = {
-    "sensor_msgs/msg/PointCloud2": ("sensor_msgs/msg/PointCloud2", "clouds"),
-    "livox_ros_driver2/msg/CustomMsg": ("livox_ros_driver2/msg/CustomMsg", "livox"),
-    "livox_ros_driver/msg/CustomMsg": ("livox_ros_driver2/msg/CustomMsg", "livox"),
-    "nav_msgs/msg/Odometry": ("nav_msgs/msg/Odometry", "odometry"),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": ("geometry_msgs/msg/PoseWithCovarianceStamped", "pose"),
-    "geometry_msgs/msg/PoseStamped": ("geometry_msgs/msg/PoseStamped", "pose_stamped"),
-    "tf2_msgs/msg/TFMessage": ("tf2_msgs/msg/TFMessage", "tf"),
-    "tf/msg/tfMessage": ("tf2_msgs/msg/TFMessage", "tf"),
-}
-"""By type in the bag: the ROS 2 type of the same layout, and what such a topic may be."""
-
 
 MAX_CHUNK = 1 << 30
 """Most bytes of an MCAP file's chunk, unpacked: one is in memory at a time, and those that overlap it."""
@@ -46,11 +31,10 @@ class Bag:
         self._readers: dict[str, list[Connection]] = {}
         counts: dict[str, Topic] = {}
         for connection in reader.connections:
-            if connection.msgtype not in TYPES:
+            name = absolute(connection.topic)
+            role = role_of(connection.msgtype, name)
+            if role is None:
                 continue
-            name = _absolute(connection.topic)
-            role = TYPES[connection.msgtype][1]
-            role = "tf_static" if role == "tf" and name.endswith("tf_static") else role
             self._readers.setdefault(name, []).append(connection)
             before = counts[name].messages if name in counts else 0
             counts[name] = Topic(name, role, before + connection.msgcount)
@@ -74,28 +58,16 @@ class Bag:
             except Exception as error:  # rosbags and what unpacks raise almost anything for bad bytes
                 raise fault(self.path, error, f" after {(last_ns - self.start_ns) / 1e9:.1f} s") from error
             last_ns = log_ns
-            yield Raw(_absolute(one.topic), self._cdr(one.msgtype, data), log_ns)
-
-    def frame_of(self, topic: Topic) -> str:
-        """Return the frame of the first message of a topic, which begins with a header; "" if it is none."""
-        raw = next(self.messages((topic.name,)), None)
-        try:
-            return "" if raw is None else CdrReader(raw.data, topic.name).header().frame_id
-        except BadRosMessage:
-            return ""
+            yield Raw(absolute(one.topic), self._cdr(one.msgtype, data), log_ns)
 
     def _cdr(self, msgtype: str, data: bytes) -> bytes:
         """Return a message as CDR; the bytes as they are if they are not of its type: whoever reads them says so."""
         if isinstance(self._reader, Reader2):
             return data
         try:
-            return bytes(STORE.ros1_to_cdr(data, TYPES[msgtype][0]))
+            return bytes(TYPES.ros1_to_cdr(data, msgtype))
         except Exception:  # noqa: BLE001 - rosbags raises almost anything for bad bytes
             return b""
-
-
-def _absolute(topic: str) -> str:
-    return topic if topic.startswith("/") else f"/{topic}"
 
 
 @contextmanager

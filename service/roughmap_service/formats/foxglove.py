@@ -14,26 +14,16 @@ from google.protobuf.message import DecodeError, Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from roughmap_ros.messages import TYPES, tf_cdr
+from roughmap_ros.messages.clouds import NUMBERS
 from roughmap_ros.messages.poses import header_of
 from roughmap_ros.messages.types import ODOMETRY, POINT_CLOUD, POSE_STAMPED, make
 from roughmap_schemas.faults import ReportedError
 from roughmap_schemas.transform import Transform
-from roughmap_service.formats.topics import Role
 
 M = TypeVar("M", bound=Message)
 
-ROLES: Final[dict[str, Role]] = {
-    "foxglove.PointCloud": "clouds",
-    "foxglove.Odometry": "odometry",
-    "foxglove.PoseInFrame": "pose_stamped",
-    "foxglove.FrameTransform": "tf",
-    "foxglove.FrameTransforms": "tf",
-}
-"""By the name of the schema: what such a topic may be."""
-
-
-DATATYPES: Final = {1: 2, 2: 1, 3: 4, 4: 3, 5: 6, 6: 5, 7: 7, 8: 8}
-"""By Foxglove's number for a type of numbers, that of sensor_msgs/PointField: there signed ones come first."""
+DATATYPES: Final = {number.code: datatype for datatype, number in NUMBERS.items()}
+"""A PointField's ``datatype`` by Foxglove's code for the type of numbers."""
 
 
 class BadFoxgloveMessage(ReportedError):

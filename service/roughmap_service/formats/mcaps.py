@@ -10,18 +10,16 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from mcap.reader import SeekingReader
 
-from roughmap_ros.messages import TYPES as STORE
-from roughmap_ros.messages import BadRosMessage
-from roughmap_ros.messages.cdr import CdrReader
-from roughmap_service.formats.bag_files import TYPES, check_chunks, fault
+from roughmap_ros.messages import TYPES
+from roughmap_service.formats.bag_files import check_chunks, fault
 from roughmap_service.formats.bags import read_bag
-from roughmap_service.formats.foxglove import ROLES, to_cdr
+from roughmap_service.formats.foxglove import to_cdr
 from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.own_logs import is_own_log, read_own_log
 from roughmap_service.formats.posed_clouds import messages_of
 from roughmap_service.formats.recorded import Recorded
 from roughmap_service.formats.robot_messages import Raw
-from roughmap_service.formats.topics import Role, Topic
+from roughmap_service.formats.topics import Role, Topic, absolute, role_of
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Schema
@@ -64,8 +62,8 @@ class McapFile:
                 before = self._known[channel.topic].messages if channel.topic in self._known else 0
                 number = before + statistics.channel_message_counts.get(channel.id, 0)
                 self._known[channel.topic] = Topic(channel.topic, role, number)
-        self._names = {_absolute(name): name for name in self._known}
-        self.topics = sorted(topic._replace(name=_absolute(name)) for name, topic in self._known.items())
+        self._names = {absolute(name): name for name in self._known}
+        self.topics = sorted(topic._replace(name=absolute(name)) for name, topic in self._known.items())
         self.start_ns, self.end_ns = statistics.message_start_time, statistics.message_end_time
 
     def messages(self, topics: Collection[str], until_ns: int | None = None) -> Iterator[Raw]:
@@ -86,24 +84,14 @@ class McapFile:
             last_ns = message.log_time
             yield self._raw(channel, schema, message.data, message.log_time)
 
-    def frame_of(self, topic: Topic) -> str:
-        """Return the frame of the first cloud of a topic; "" if it names none."""
-        raw = next(self.messages((topic.name,)), None)
-        if raw is None:
-            return ""
-        try:
-            return CdrReader(raw.data, topic.name).header().frame_id
-        except BadRosMessage:
-            return ""
-
     def _raw(self, channel: "Channel", schema: "Schema | None", data: bytes, log_ns: int) -> Raw:
-        topic = _absolute(channel.topic)
+        topic = absolute(channel.topic)
         name = "" if schema is None else schema.name
         try:
             if channel.message_encoding == "cdr":
                 return Raw(topic, data, log_ns)
             if channel.message_encoding == "ros1":
-                return Raw(topic, bytes(STORE.ros1_to_cdr(data, _ros_type(name))), log_ns)
+                return Raw(topic, bytes(TYPES.ros1_to_cdr(data, _ros_type(name))), log_ns)
             return Raw(topic, to_cdr(name, data, as_json=channel.message_encoding == "json"), log_ns)
         except Exception:  # noqa: BLE001 - what can't be read is empty, and refused by the one who takes it
             return Raw(topic, b"", log_ns)
@@ -111,19 +99,11 @@ class McapFile:
 
 def _role(channel: "Channel", schema: "Schema | None") -> Role | None:
     name = "" if schema is None else schema.name
-    if channel.message_encoding in {"protobuf", "json"}:
-        role = ROLES.get(name)
-    elif channel.message_encoding in {"cdr", "ros1"}:
-        role = TYPES[_ros_type(name)][1] if _ros_type(name) in TYPES else None
-    else:
-        return None
-    return "tf_static" if role == "tf" and channel.topic.endswith("tf_static") else role
+    if channel.message_encoding in {"cdr", "ros1"}:
+        return role_of(_ros_type(name), channel.topic)
+    return role_of(name, channel.topic) if channel.message_encoding in {"protobuf", "json"} else None
 
 
 def _ros_type(name: str) -> str:
     """Return a type's name as ROS 2 writes it: pkg/msg/Type for ROS 1's pkg/Type."""
     return name if "/msg/" in name else name.replace("/", "/msg/", 1)
-
-
-def _absolute(topic: str) -> str:
-    return topic if topic.startswith("/") else f"/{topic}"

@@ -35,8 +35,10 @@ def read_own_log(
     except ValueError as error:
         raise CloudFileFault(f"{path}: its settings can't be read: {str(error).splitlines()[0]}") from None
     kinds = _robot(path, summary, Keys(config.map.name, config.keys), options)
-    sensors = config.sensors if not config.robots else {**config.sensors, **_own_sensors(config)}
-    unknown = [frame for frame in sensors if frame not in options.sensors]
+    frames = {**config.sensors}
+    for robot in config.robots.values():
+        frames.update(robot.sensors)
+    unknown = [frame for frame in frames if frame not in options.sensors]
     if unknown:
         raise CloudFileFault(
             f"{path}: a log of a robot with [sensors.{unknown[0]}], which is not configured here: give its "
@@ -57,10 +59,6 @@ def read_own_log(
             raise fault(path, error) from error
         options.reached((message.log_time - begin_ns) / span)
         yield RobotMessage(kinds[channel.topic], message.data, message.log_time)
-
-
-def _own_sensors(config: Config) -> dict[str, object]:
-    return {frame: sensor for robot in config.robots.values() for frame, sensor in robot.sensors.items()}
 
 
 def _robot(path: Path, summary: "Summary", keys: Keys, options: ReadOptions) -> dict[str, Kind]:

@@ -6,19 +6,20 @@ belong to the clouds' own stamps. So do poses without stamps, one for each cloud
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from roughmap_ros.messages import BadRosMessage, cloud_message, livox_message
-from roughmap_ros.messages.cdr import CdrReader
+from roughmap_ros.messages.cdr import read_header
 from roughmap_schemas.geometry import SECOND_NS
 from roughmap_schemas.kinds import Kind, RobotMessage
 from roughmap_schemas.odometry import encode_odometry
 from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.recorded import CloudFileFault, Contents
-from roughmap_service.formats.robot_messages import Source, frames_of, robot_messages
+from roughmap_service.formats.robot_messages import Source, frame_of, frames_of, robot_messages
 from roughmap_service.formats.topics import Topic, choose
 from roughmap_service.formats.trajectories import PoseFile, read_trajectory
 
@@ -48,7 +49,7 @@ def posed_clouds(source: Source, options: ReadOptions) -> Iterator[Contents | Ro
     for number, raw in enumerate(source.messages(read)):
         options.reached((raw.log_ns - source.start_ns) / span)
         try:
-            cloud, stamp_ns = read[raw.topic](raw.data, raw.log_ns), CdrReader(raw.data, "").header().stamp_ns
+            cloud, stamp_ns = read[raw.topic](raw.data, raw.log_ns), read_header(raw.data).stamp_ns
         except BadRosMessage as error:
             options.note(f"{source.path}: {raw.topic}: a cloud was left out: {error}")
             continue
@@ -66,7 +67,7 @@ def posed_clouds(source: Source, options: ReadOptions) -> Iterator[Contents | Ro
 def _frames(source: Source, options: ReadOptions) -> Mapping[Topic, str]:
     """Return the topics of the clouds, with the frame of each."""
     if options.topics is None:
-        return choose(source.path, source.topics, source.frame_of, options).clouds
+        return choose(source.path, source.topics, partial(frame_of, source), options).clouds
     return frames_of(source, options.topics)
 
 

@@ -7,36 +7,33 @@ subscribes to them. Nothing else of a recording is read before its turn.
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
 from pydantic import ValidationError
 
-from roughmap_ros.feed import RobotFeed
+from roughmap_ros.feed import POSE_TYPES, RobotFeed
 from roughmap_ros.messages import (
     BadRosMessage,
     PoseRead,
-    odometry_message,
-    pose_message,
-    pose_stamped_message,
     tf_cdr,
     transforms_of,
 )
+from roughmap_ros.messages.cdr import read_header
 from roughmap_schemas.geometry import Quaternion, Vector
 from roughmap_schemas.kinds import RobotMessage
 from roughmap_schemas.ros2_sections import Ros2RobotConfig
 from roughmap_schemas.transform import Transform
 from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.recorded import CloudFileFault, Contents
-from roughmap_service.formats.topics import Links, Role, Topic, base_frame, choose, no_poses
+from roughmap_service.formats.topics import BASES, Links, Role, Topic, base_frame, choose, no_poses
 
 LOOK_NS: Final = 30_000_000_000
 """How much of tf is read ahead."""
 
 MAX_FRAMES: Final = 10_000
 """Frames of tf that are looked at; robots have some hundred."""
-
-READ_POSE: Final = {"odometry": odometry_message, "pose": pose_message, "pose_stamped": pose_stamped_message}
 
 
 class Raw(NamedTuple):
@@ -61,9 +58,6 @@ class Source(Protocol):
 
     def messages(self, topics: Collection[str], until_ns: int | None = None) -> Iterator[Raw]:
         """Return the messages of some topics in the order in which they were recorded. Raises CloudFileFault."""
-
-    def frame_of(self, topic: Topic) -> str:
-        """Return the frame of the first cloud of a topic."""
 
 
 @dataclass(frozen=True)
@@ -116,10 +110,10 @@ def plan_of(source: Source, options: ReadOptions) -> Plan:
         frames = frames_of(source, topics)
         poses = next((topic for topic in source.topics if topic.name == getattr(topics, topics.source)), None)
     else:
-        chosen = choose(source.path, source.topics, source.frame_of, options)
+        chosen = choose(source.path, source.topics, partial(frame_of, source), options)
         frames, poses = dict(chosen.clouds), chosen.poses
         topics = _config(source, chosen.clouds, poses, _base(source, links, frames, poses))
-    if poses is not None and poses.role in READ_POSE:
+    if poses is not None and poses.role in POSE_TYPES:
         first = _first_pose(source, poses)
         root = options.map_frame if first is None else first.frame_id
     else:
@@ -138,9 +132,18 @@ def plan_of(source: Source, options: ReadOptions) -> Plan:
     return Plan(topics, map_frame, mounted, placed, found, fixed)
 
 
+def frame_of(source: Source, topic: Topic) -> str:
+    """Return the frame of the first message of a topic, which begins with a header; "" if it has none."""
+    raw = next(source.messages((topic.name,)), None)
+    try:
+        return "" if raw is None else read_header(raw.data).frame_id
+    except BadRosMessage:
+        return ""
+
+
 def frames_of(source: Source, topics: Ros2RobotConfig) -> dict[Topic, str]:
     """Return the frames of configured topics of clouds; CloudFileFault if the recording has none of them."""
-    found = {one: source.frame_of(one) for one in source.topics if one.name in {*topics.clouds, *topics.livox}}
+    found = {one: frame_of(source, one) for one in source.topics if one.name in {*topics.clouds, *topics.livox}}
     if not found:
         there = ", ".join(one.name for one in source.topics) or "none that roughmap reads"
         wanted = ", ".join((*topics.clouds, *topics.livox)) or "none"
@@ -160,7 +163,7 @@ def _base(source: Source, links: Links, frames: dict[Topic, str], poses: Topic |
     if first is not None and first.body_frame_id:
         return first.body_frame_id
     above = links.up(frames[clouds[0]])
-    return next((name for name in ("base_link", "base_footprint") if name in above), above[-1])
+    return next((name for name in BASES if name in above), above[-1])
 
 
 def _config(source: Source, clouds: Collection[Topic], poses: Topic | None, base: str) -> Ros2RobotConfig:
@@ -182,9 +185,10 @@ def _config(source: Source, clouds: Collection[Topic], poses: Topic | None, base
 
 
 def _first_pose(source: Source, topic: Topic) -> PoseRead | None:
+    _, read = POSE_TYPES[topic.role]
     for raw in source.messages((topic.name,)):
         try:
-            return READ_POSE[topic.role](raw.data, raw.log_ns)
+            return read(raw.data)
         except BadRosMessage:
             continue
     return None

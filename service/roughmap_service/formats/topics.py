@@ -3,12 +3,30 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
+from roughmap_ros.messages.types import LIVOX, LIVOX_ROS1, ODOMETRY, POINT_CLOUD, POSE, POSE_STAMPED, TF, TF_ROS1
 from roughmap_service.formats.options import ReadOptions
 from roughmap_service.formats.recorded import CloudFileFault
 
 Role = Literal["clouds", "livox", "odometry", "pose", "pose_stamped", "tf", "tf_static"]
+
+ROLES: Final[Mapping[str, Role]] = {
+    POINT_CLOUD: "clouds",
+    LIVOX: "livox",
+    LIVOX_ROS1: "livox",
+    ODOMETRY: "odometry",
+    POSE: "pose",
+    POSE_STAMPED: "pose_stamped",
+    TF: "tf",
+    TF_ROS1: "tf",
+    "foxglove.PointCloud": "clouds",
+    "foxglove.Odometry": "odometry",
+    "foxglove.PoseInFrame": "pose_stamped",
+    "foxglove.FrameTransform": "tf",
+    "foxglove.FrameTransforms": "tf",
+}
+"""What a topic may be, by its type."""
 
 CLOUDS: tuple[Role, ...] = ("clouds", "livox")
 POSES: tuple[Role, ...] = ("odometry", "pose", "pose_stamped")
@@ -27,6 +45,17 @@ class Topic(NamedTuple):
     name: str
     role: Role
     messages: int
+
+
+def role_of(type_name: str, topic: str) -> Role | None:
+    """Return what a topic may be; None if its type is not read."""
+    role = ROLES.get(type_name)
+    return "tf_static" if role == "tf" and topic.endswith("tf_static") else role
+
+
+def absolute(topic: str) -> str:
+    """Return a topic's name with its first slash: ROS 1 may leave it out."""
+    return topic if topic.startswith("/") else f"/{topic}"
 
 
 class Links(NamedTuple):

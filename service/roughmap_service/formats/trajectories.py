@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from roughmap_ros.tf.rigid import Rigid, between
 from roughmap_schemas.geometry import MAX_STAMP_S, SECOND_NS, normalised, quaternion_of
 from roughmap_service.formats.poses import BOTTOM, check_poses
 from roughmap_service.formats.recorded import CloudFileFault, Floats
@@ -29,9 +30,6 @@ UNIT_TOLERANCE = 1e-3
 
 MAX_LINE = 1 << 12
 MAX_POSES = 5_000_000
-
-PARALLEL = 0.9995
-"""Cosine beyond which two rotations are interpolated along the chord, which is then as good as the arc."""
 
 
 class StampedPose(NamedTuple):
@@ -66,19 +64,13 @@ class PoseFile(NamedTuple):
         return StampedPose(stamp_ns, self.positions[near], self.rotations[near])
 
     def _between(self, a: int, b: int, stamp_ns: int) -> StampedPose:
-        u = (stamp_ns - int(self.stamps[a])) / int(self.stamps[b] - self.stamps[a])
-        position = self.positions[a] + u * (self.positions[b] - self.positions[a])
-        first, second = self.rotations[a], self.rotations[b]
-        cosine = float(sum((first * second).tolist()))
-        if cosine < 0:  # the other quaternion of the same rotation, so that the turn is the shorter one
-            second, cosine = -second, -cosine
-        if cosine > PARALLEL:
-            mixed = (1 - u) * first + u * second
-        else:
-            angle = np.arccos(cosine)
-            mixed = np.sin((1 - u) * angle) * first + np.sin(u * angle) * second
-        x, y, z, w = mixed.tolist()
-        return StampedPose(stamp_ns, position, np.array(normalised((x, y, z, w))))
+        share = (stamp_ns - int(self.stamps[a])) / int(self.stamps[b] - self.stamps[a])
+        pose = between(self._rigid(a), self._rigid(b), share)
+        return StampedPose(stamp_ns, np.array(pose.translation), np.array(pose.rotation))
+
+    def _rigid(self, k: int) -> Rigid:
+        (x, y, z), (qx, qy, qz, qw) = self.positions[k].tolist(), self.rotations[k].tolist()
+        return Rigid((x, y, z), (qx, qy, qz, qw))
 
 
 def read_trajectory(path: Path) -> PoseFile:

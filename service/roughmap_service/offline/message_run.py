@@ -18,6 +18,9 @@ from roughmap_service.run.settings import Settings
 
 EVER = float("inf")
 
+TAKEN = "taken"
+"""The outcome of a pose that was not dropped."""
+
 
 @dataclass
 class Counts:
@@ -94,7 +97,7 @@ class MessageRun:
             self.counts.points += len(content.points)
         taken = run.take(self._robot, content, identity, message.log_ns, Arrival(self._now))
         if taken.odometry is not None:
-            self.counts.poses.update("taken" if reason is None else str(reason) for reason in taken.odometry.settled)
+            self.counts.poses.update(TAKEN if reason is None else str(reason) for reason in taken.odometry.settled)
         elif taken.rejected is not None:
             self.counts.poses[str(taken.rejected)] += 1
         while self._decide():

@@ -2,17 +2,13 @@
 
 from collections import Counter
 from collections.abc import Collection
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from roughmap_schemas import Config
 from roughmap_schemas.reasons import MEANING, CloudReason, PoseReason
 from roughmap_service.inputs.remedies import in_one_line, sensor_table
+from roughmap_service.offline.message_run import TAKEN, Counts
 from roughmap_service.run.inbox import INTEGRATED
-
-if TYPE_CHECKING:
-    from roughmap_service.offline.message_run import Counts
-
-TAKEN: Final = "taken"
 
 CLOUD_REMEDIES: Final = {
     "no_pose": (
@@ -39,7 +35,7 @@ POSE_REMEDIES: Final = {
 }
 
 
-def why_unmapped(counts: "Counts", config: Config, robot: str, sensors: Collection[str]) -> str | None:
+def why_unmapped(counts: Counts, config: Config, robot: str, sensors: Collection[str]) -> str | None:
     """Return why most clouds were lost; None if most are in the map, or there were none."""
     lost = Counter(counts.clouds)
     mapped = lost.pop(INTEGRATED, 0)

@@ -10,14 +10,14 @@ from typing import Self
 
 import zenoh
 
-from roughmap_ros.bridge import ABSENT, Bridge, robot_feeds
+from roughmap_ros.bridge import ABSENT, Bridge, robot_feeds, ros_node
 from roughmap_ros.key_sink import ENCODINGS
-from roughmap_ros.wire import Received, RosNode
+from roughmap_ros.wire import Received
 from roughmap_schemas import Config
 from roughmap_schemas.kinds import Kind, RobotMessage
 from roughmap_service.cli.doctor.findings import Finding, Verdict
 from roughmap_service.cli.doctor.traffic import Message
-from roughmap_service.inputs.ros2 import standing
+from roughmap_service.inputs.ros2_checks import standing
 
 AREA = "ros2"
 
@@ -54,12 +54,7 @@ class Ros2Ears:
         inputs = ros2.model_copy(update={"out": {}})
         self._feeds = robot_feeds(self._config)
         with ExitStack() as stack:
-            self._node = stack.enter_context(
-                RosNode(
-                    self._session, f"{ros2.node}_doctor", keys=ros2.keys, domain=ros2.domain,
-                    max_message=self._config.input.max_message,
-                )
-            )  # fmt: skip
+            self._node = stack.enter_context(ros_node(self._session, self._config, f"{ros2.node}_doctor"))
             bridge = Bridge(self._node, inputs, self._feeds, self._put, self._refuse, heard=self._hear)
             self._bridge = stack.enter_context(bridge)
             self._stack = stack.pop_all()
