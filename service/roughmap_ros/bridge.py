@@ -44,6 +44,10 @@ STATIC: Final = Qos(reliable=True, transient_local=True, depth=100)
 GONE_NS: Final = 60 * 10**9
 """A robot of which nothing came for so long is switched off, and that is no problem."""
 
+MAX_LINES: Final = 5
+MAX_LINE: Final = 500
+"""Endpoints of other nodes that a problem names, and characters for each."""
+
 Sink = Callable[[str, RobotMessage], None]
 """Takes a message of a robot, in the order in which the robot's messages come."""
 
@@ -135,9 +139,12 @@ class Bridge:
                 sentences = [] if gone else fed.feed.problems(now)
             if sentences:
                 found[f"robot {robot} ros2"] = f"robot {robot} ros2: {'; '.join(sentences)}"
+        unfit: dict[str, list[str]] = {}
         for line in self._node.mismatches():
-            subject = f"ros2 {line.partition(':')[0]}"
-            found[subject] = f"{found[subject]}; {line}" if subject in found else f"ros2 {line}"
+            unfit.setdefault(f"ros2 {line.partition(':')[0]}", []).append(line[:MAX_LINE])
+        for subject, lines in unfit.items():
+            more = f"; and {len(lines) - MAX_LINES} more" if len(lines) > MAX_LINES else ""
+            found[subject] = f"ros2 {'; '.join(lines[:MAX_LINES])}{more}"
         if self._publisher is not None:
             for name, text in self._publisher.problems().items():
                 found[f"ros2.out.{name}"] = f"ros2.out.{name}: can't be published: {text}"
