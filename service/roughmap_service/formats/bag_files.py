@@ -16,6 +16,7 @@ from roughmap_service.formats.damage import damage
 from roughmap_service.formats.recorded import CloudFileFault
 from roughmap_service.formats.robot_messages import Raw
 from roughmap_service.formats.topics import Role, Topic
+from roughmap_service.formats.unpacking import MAX_CHUNK, bound_rosbags
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -32,9 +33,7 @@ TYPES: dict[str, tuple[str, Role]] = {
 }
 """By type in the bag: the ROS 2 type of the same layout, and what such a topic may be."""
 
-
-MAX_CHUNK = 1 << 30
-"""Most bytes of an MCAP file's chunk, unpacked: one is in memory at a time, and those that overlap it."""
+bound_rosbags()
 
 
 class Bag:
