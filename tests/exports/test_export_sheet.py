@@ -1,11 +1,12 @@
 """Sheets: tiles and bands together cover the rectangle once, wherever the known tiles lie."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from roughmap_service.exports.cut import cells_of, tiles_in
-from roughmap_service.exports.sheet import SIDE, Sheet
+from roughmap_service.exports.sheet import BAND_BYTES, SIDE, Sheet
 
 TILES = st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), min_size=1, max_size=8, unique=True)
 
@@ -45,3 +46,20 @@ def test_one_layer_of_a_sheet_is_drawn_alone() -> None:
     sheet = Sheet(("mean_height", "count"), (0, 0, SIDE, SIDE), 0.1, np.zeros((1, 2), np.int64), plane)
     (part,) = sheet.only("count").parts()
     assert np.array_equal(part.values[:, :, 0], plane(0, 0)[:, :, 1])
+
+
+@pytest.mark.parametrize("upward", [False, True])
+def test_a_band_of_millions_of_columns_has_few_rows(upward: bool) -> None:
+    far = 2**16
+    cells = (0, 0, (far + 1) * SIDE, 2 * SIDE)
+    sheet = Sheet(("mean_height", "count"), cells, 0.1, np.array([(0, 0), (far, 1)]), plane)
+    ends = []
+    for band in sheet.bands(upward=upward):
+        assert band.nbytes <= BAND_BYTES
+        ends.append(np.concatenate([band[:, :SIDE], band[:, -SIDE:]], axis=1))
+    whole = np.concatenate(ends) if upward else np.concatenate(ends)[::-1]
+    assert whole.shape == (2 * SIDE, 2 * SIDE, 2)
+    assert np.array_equal(whole[:SIDE, :SIDE], plane(0, 0))
+    assert np.array_equal(whole[SIDE:, SIDE:], plane(far, 1))
+    assert np.isnan(whole[SIDE:, :SIDE, 0]).all()
+    assert np.isnan(whole[:SIDE, SIDE:, 0]).all()

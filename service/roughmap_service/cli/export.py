@@ -85,6 +85,7 @@ def export(
     from roughmap_schemas.layers import LAYERS
     from roughmap_service.cli.connection import client_config
     from roughmap_service.exports.files import formats
+    from roughmap_service.exports.whole import write_whole
 
     known = formats(threshold)
     suffix = output.suffix.lower()
@@ -92,6 +93,8 @@ def export(
         raise BadUse(f"{output}: unknown format {suffix!r} (allowed: {', '.join(filter(None, known))}, or no suffix)")
     if output.exists() and not force:
         raise BadUse(f"{output} exists; choose another name, or use --force to replace it")
+    if output.exists() and any(output.samefile(source) for source in sources):
+        raise BadUse(f"{output} is the map itself; choose another name")
     if not output.absolute().parent.is_dir():
         raise BadUse(f"{output}: there is no folder {output.parent}")
     names = known[suffix].layers if layers is None else tuple(name.strip() for name in layers.split(","))
@@ -109,13 +112,9 @@ def export(
             opened = _from_service(session, loaded.config.map.name, loaded.config.keys, (names, level, bbox, crs))
         with opened as sheet:
             try:
-                known[suffix].write(sheet, output)
-            except BaseException as error:
-                if output.is_file():  # half of a map must not pass for one
-                    output.unlink()
-                if isinstance(error, OSError):
-                    raise Failure(f"{output}: {error.strerror or error}") from None
-                raise
+                write_whole(known[suffix].write, sheet, output, replace=force)
+            except OSError as error:
+                raise Failure(f"{output}: {error.strerror or error}") from None
     rows, columns = sheet.shape
     report: dict[str, Any] = {
         "output": str(output), "layers": list(sheet.layers), "cells": [columns, rows], "cell_size": sheet.cell_size,

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import rasterio
 from affine import Affine
+from rasterio._err import CPLE_BaseError
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp
-from rasterio.errors import CRSError
+from rasterio.errors import CRSError, RasterioError
 from rasterio.shutil import copy
 from rasterio.windows import Window
 
@@ -18,6 +19,9 @@ from roughmap_service.formats.pictures import STYLES
 
 MAX_SIDE = 1 << 30
 """Cells along a side: GDAL's numbers of pixels are 32 bits."""
+
+MAX_VALUES = 1 << 35
+"""Of all layers. GDAL looks at each, empty or not, for its overviews: some 40 million a second."""
 
 BLOCK = 512
 """Cells along the side of a block, GDAL's default for cloud-optimised files."""
@@ -30,8 +34,17 @@ def write_geotiff(sheet: Sheet, file: Path) -> None:
     either.
     """
     rows, columns = sheet.shape
+    sheet.check_cells(MAX_VALUES // len(sheet.layers), f"a GeoTIFF with {len(sheet.layers)} layers")
     if max(rows, columns) > MAX_SIDE:
         raise ExportFault(f"{file}: {columns} x {rows} cells are too many for GeoTIFF: choose a part with --bbox")
+    try:
+        _write(sheet, file)
+    except (RasterioError, CPLE_BaseError) as error:
+        raise ExportFault(f"{file}: {error}") from None
+
+
+def _write(sheet: Sheet, file: Path) -> None:
+    rows, columns = sheet.shape
     profile = {
         "driver": "GTiff", "width": columns, "height": rows, "count": len(sheet.layers), "dtype": "float32",
         "nodata": np.nan, "tiled": True, "blockxsize": BLOCK, "blockysize": BLOCK, "compress": "zstd",
@@ -39,7 +52,10 @@ def write_geotiff(sheet: Sheet, file: Path) -> None:
         "transform": Affine(sheet.cell_size, 0.0, sheet.low[0], 0.0, -sheet.cell_size, sheet.high[1]),
     }  # fmt: skip
     low, high = np.inf, -np.inf
-    with rasterio.Env(GDAL_CACHEMAX=64 << 20), tempfile.TemporaryDirectory(dir=file.parent, prefix=".export-") as room:
+    env = rasterio.Env(
+        GDAL_CACHEMAX=64 << 20, CHECK_DISK_FREE_SPACE="FALSE"
+    )  # GDAL does not count empty blocks as such
+    with env, tempfile.TemporaryDirectory(dir=file.parent, prefix=".export-") as room:
         sparse = Path(room) / "sparse.tif"
         with rasterio.open(sparse, "w", **profile) as written:
             if sheet.crs is not None:
