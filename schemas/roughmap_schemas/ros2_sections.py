@@ -15,6 +15,9 @@ Topic = Annotated[str, Field(pattern=TOPIC_PATTERN, max_length=256)]
 MaybeTopic = Annotated[Topic | None, MaybeNone]
 Topics = Annotated[list[Topic], Once]
 
+SHARED: Final = ("tf", "tf_static")
+"""Settings whose topic several robots may name: its messages say which frames they are about."""
+
 PoseSource = Literal["auto", "odometry", "pose", "pose_stamped", "tf"]
 OutType = Literal["GridMap", "OccupancyGrid", "PointCloud2"]
 
@@ -52,6 +55,13 @@ class Ros2RobotConfig(Section):
         if self.pose is not None:
             return "pose"
         return "tf" if self.pose_stamped is None else "pose_stamped"
+
+    @property
+    def roles(self) -> list[tuple[str, str]]:
+        """Each topic that is set, with the setting that names it."""
+        single = ("odometry", "pose", "pose_stamped", "tf", "tf_static")
+        several = [*((topic, "clouds") for topic in self.clouds), *((topic, "livox") for topic in self.livox)]
+        return several + [(topic, name) for name in single if (topic := getattr(self, name)) is not None]
 
     @model_validator(mode="after")
     def _has_poses(self) -> "Ros2RobotConfig":
@@ -116,6 +126,17 @@ class Ros2Config(Section):
     def active(self) -> bool:
         """Whether anything comes in or goes out."""
         return bool(self.robots or self.out)
+
+    @model_validator(mode="after")
+    def _topics(self) -> "Ros2Config":
+        known: dict[str, tuple[str, str]] = {}
+        for robot, topics in self.robots.items():
+            for topic, role in topics.roles:
+                before = known.setdefault(topic, (robot, role))
+                if before != (robot, role) and (before[1] != role or role not in SHARED):
+                    found = " and ".join(f"{name}.{setting}" for name, setting in (before, (robot, role)))
+                    raise ValueError(f"robots.{robot}.{role}: {topic} has one meaning, for one robot; found {found}")
+        return self
 
     @model_validator(mode="after")
     def _windows(self) -> "Ros2Config":

@@ -51,6 +51,10 @@ REMEDY: Final = "; start what publishes it, or correct ros2.robots"
 ABSENT: Final = ("nothing came on ", " never came", " stopped ", " is not connected to ")
 """Words of sentences that say so."""
 
+MAX_LINES: Final = 5
+MAX_LINE: Final = 500
+"""Endpoints of other nodes that a problem names, and characters for each."""
+
 Sink = Callable[[str, RobotMessage], None]
 """Takes a message of a robot, in the order in which the robot's messages come."""
 
@@ -142,9 +146,12 @@ class Bridge:
         for robot, sentences in self.of_robots().items():
             absent = any(word in sentence for sentence in sentences for word in ABSENT)
             found[f"robot {robot} ros2"] = f"robot {robot} ros2: {'; '.join(sentences)}{REMEDY if absent else ''}"
+        unfit: dict[str, list[str]] = {}
         for line in self._node.mismatches():
-            subject = f"ros2 {line.partition(':')[0]}"
-            found[subject] = f"{found[subject]}; {line}" if subject in found else f"ros2 {line}"
+            unfit.setdefault(f"ros2 {line.partition(':')[0]}", []).append(line[:MAX_LINE])
+        for subject, lines in unfit.items():
+            more = f"; and {len(lines) - MAX_LINES} more" if len(lines) > MAX_LINES else ""
+            found[subject] = f"ros2 {'; '.join(lines[:MAX_LINES])}{more}"
         if self._publisher is not None:
             for name, text in self._publisher.problems().items():
                 found[f"ros2.out.{name}"] = f"ros2.out.{name}: can't be published: {text}"

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
 import tifffile
@@ -12,8 +13,11 @@ from live_service import live_service
 from net import WAIT_S, wait_until
 
 from roughmap_client import RoughMapClient
+from roughmap_schemas import Config, configuration_digest
 from roughmap_service.cli.export import export
 from roughmap_service.cli.main import run as command_line
+from roughmap_service.run.settings import new_map
+from roughmap_service.store.map_db import Store
 
 
 def run(*arguments: object) -> tuple[int, str]:
@@ -180,3 +184,49 @@ def test_the_reference_system_of_the_recordings_comes_out_again(tmp_path: Path) 
     assert run(stored.path, "-o", tmp_path / "other.tif", "--crs", "EPSG:32633")[0] == 0
     with tifffile.TiffFile(tmp_path / "other.tif") as tiff:
         assert tiff.pages[0].geotiff_tags["ProjectedCSTypeGeoKey"] == 32633
+
+
+def test_what_belongs_beside_a_file_is_only_replaced_by_force(stored: Stored, tmp_path: Path) -> None:
+    (tmp_path / "a.pgm").write_text("mine")
+    assert command_line(["export", str(stored.path), "-o", str(tmp_path / "a.yaml")]) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["a.pgm"]
+    assert (tmp_path / "a.pgm").read_text() == "mine"
+    assert run(stored.path, "-o", tmp_path / "a.yaml", "--force")[0] == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.pgm", "a.yaml"]
+
+
+def test_a_failed_export_leaves_what_was_there(stored: Stored, tmp_path: Path) -> None:
+    (tmp_path / "a.asc").write_text("mine")
+    assert command_line(["export", str(stored.path), "-o", str(tmp_path / "a.asc"), "--force", "--crs", "x\ny"]) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["a.asc"]
+    assert (tmp_path / "a.asc").read_text() == "mine"
+
+
+def test_a_folder_that_is_no_bag_and_the_map_itself_are_not_replaced(stored: Stored, tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "mine").write_text("mine")
+    own = store(tmp_path).path.rename(tmp_path / "b.npz")
+    before = own.read_bytes()
+    for source, output in ((stored.path, tmp_path / "a"), (own, own)):
+        assert command_line(["export", str(source), "-o", str(output), "--force"]) == 2
+    assert (tmp_path / "a" / "mine").read_text() == "mine"
+    assert own.read_bytes() == before
+
+
+def test_a_map_of_two_places_a_thousand_kilometres_apart_is_small_or_refused(tmp_path: Path, capsys) -> None:
+    """Each format says so at once, or writes the two places alone."""
+    config = Config.model_validate({"map": {"name": "site", "cell_size": 0.1}})
+    with new_map(config) as built:
+        for far in (0.0, 1e6):
+            built.add(np.full((20, 3), [far + 0.05, far + 0.05, 1.0]), np.eye(3) * 1e-4, 10**18)
+        path = tmp_path / "map.db"
+        Store(path).write_map(built, config.public_dict(), configuration_digest(config), "ab12", None)
+    for suffix in (".ply", ".pcd", ".las", ".laz"):
+        assert command_line(["export", str(path), "-o", str(tmp_path / f"a{suffix}")]) == 0
+        assert (tmp_path / f"a{suffix}").stat().st_size < 10_000
+    with laspy.open(tmp_path / "a.laz") as points:
+        assert np.asarray(points.read().x).max() == pytest.approx(1e6, abs=0.11)
+    for suffix in (".npz", ".asc", ".png", ".yaml", "", ".tif"):
+        capsys.readouterr()
+        code = command_line(["export", str(path), "-o", str(tmp_path / f"b{suffix}")])
+        assert (code, "choose a part with --bbox" in capsys.readouterr().err) == (2, True), suffix

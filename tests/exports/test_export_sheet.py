@@ -1,12 +1,13 @@
 """Sheets: tiles and bands together cover the rectangle once, wherever the known tiles lie."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from roughmap.cell import TILE_CELLS
 from roughmap_service.exports.cut import cells_of, tiles_in
-from roughmap_service.exports.sheet import Sheet
+from roughmap_service.exports.sheet import BAND_BYTES, Sheet
 
 TILES = st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), min_size=1, max_size=8, unique=True)
 
@@ -46,3 +47,20 @@ def test_one_layer_of_a_sheet_is_drawn_alone() -> None:
     sheet = Sheet(("mean_height", "count"), (0, 0, TILE_CELLS, TILE_CELLS), 0.1, np.zeros((1, 2), np.int64), plane)
     (part,) = sheet.only("count").parts()
     assert np.array_equal(part.values[:, :, 0], plane(0, 0)[:, :, 1])
+
+
+@pytest.mark.parametrize("upward", [False, True])
+def test_a_band_of_millions_of_columns_has_few_rows(upward: bool) -> None:
+    far = 2**16
+    cells = (0, 0, (far + 1) * TILE_CELLS, 2 * TILE_CELLS)
+    sheet = Sheet(("mean_height", "count"), cells, 0.1, np.array([(0, 0), (far, 1)]), plane)
+    ends = []
+    for band in sheet.bands(upward=upward):
+        assert band.nbytes <= BAND_BYTES
+        ends.append(np.concatenate([band[:, :TILE_CELLS], band[:, -TILE_CELLS:]], axis=1))
+    whole = np.concatenate(ends) if upward else np.concatenate(ends)[::-1]
+    assert whole.shape == (2 * TILE_CELLS, 2 * TILE_CELLS, 2)
+    assert np.array_equal(whole[:TILE_CELLS, :TILE_CELLS], plane(0, 0))
+    assert np.array_equal(whole[TILE_CELLS:, TILE_CELLS:], plane(far, 1))
+    assert np.isnan(whole[TILE_CELLS:, :TILE_CELLS, 0]).all()
+    assert np.isnan(whole[:TILE_CELLS, TILE_CELLS:, 0]).all()

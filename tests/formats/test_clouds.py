@@ -1,5 +1,6 @@
 """Recorded clouds: each layout is read, each fault is one line that names the file."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -169,3 +170,11 @@ def test_a_single_array_is_no_archive(tmp_path: Path) -> None:
         np.save(out, np.zeros((3, 3)))
     with pytest.raises(CloudFileFault, match="single array"):
         list(read_cloud(file))
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".xyz", ".las", ".bag", ".mcap"])
+def test_a_pipe_is_no_recording_and_is_not_waited_for(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    os.mkfifo(path)
+    with pytest.raises(CloudFileFault, match="found a pipe"):
+        list(read_cloud(path))

@@ -2,10 +2,12 @@
 
 from pathlib import Path
 
-from net import WAIT_S, wait_until
-from processes import Service, connected, running
+import numpy as np
+from net import WAIT_S, Gathered, wait_until
+from processes import GROUND, Service, connected, running
 from ros_rover import (
     CLOUDS,
+    LATCHED,
     ODOMETRY,
     ROBOT,
     SENSOR,
@@ -20,6 +22,7 @@ from ros_rover import (
     transform,
 )
 
+from roughmap_ros.messages.types import GRID_MAP, type_hash
 from roughmap_ros.wire import RosNode
 
 
@@ -97,3 +100,32 @@ def test_a_topic_of_another_type_is_told(tmp_path: Path) -> None:
             lambda: next((s for s in [feed.client.status()] if "ros2 /scan" in s.problems), None), "the mismatch"
         )
         assert "sensor_msgs/msg/LaserScan" in status.problems["ros2 /scan"]
+
+
+def test_a_map_with_a_stamp_beyond_ros_is_published_with_the_last_that_ros_has(tmp_path: Path) -> None:
+    """ROS counts seconds in 31 bits, to 2038; the contract in 32."""
+    out = {"grid": {"type": "GridMap", "box": [0, -1, 3, 1], "layers": ["mean_height"]}}
+    with running(tmp_path, **settings(out=out)) as (service, feed), ros_session(service.ready()["endpoints"]) as ros:
+        came: Gathered[bytes] = Gathered()
+        with RosNode(ros, "late", keys="rmw_zenoh") as node:
+            node.subscriber("/roughmap/grid", GRID_MAP, type_hash(GRID_MAP), LATCHED, lambda got: came(got.payload))
+            feed.cloud("far", (2**32 - 5) * 10**9, np.repeat(GROUND, 2, axis=0), "map")
+            came.wait(lambda items: any(seconds_of(item) == 2**31 - 1 for item in items), "the map with that stamp")
+
+
+def seconds_of(payload: bytes) -> int:
+    """The seconds of the stamp that a message begins with."""
+    return int.from_bytes(payload[4:8], "little")
+
+
+def test_many_publishers_of_another_type_are_told_in_a_few_words(tmp_path: Path) -> None:
+    with running(tmp_path, **settings()) as (service, feed), ros_session(service.ready()["endpoints"]) as ros:
+        end = f"%points/std_msgs::msg::dds_::String_/RIHS01_{'0' * 64}/::,5:,:,:,,"
+        tokens = [
+            ros.liveliness().declare_token(f"@ros2_lv/0/1a/0/{n}/MP/%/%/n{'a' * 1000}{n}/{end}") for n in range(400)
+        ]
+        text = wait_until(lambda: feed.client.status().problems.get("ros2 /points"), "the problem")
+        assert text.endswith("; and 395 more")
+        assert len(text) < 5000
+        for token in tokens:
+            token.undeclare()

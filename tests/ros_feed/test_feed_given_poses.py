@@ -162,3 +162,11 @@ def test_odometry_goes_on_when_the_clock_was_set_back() -> None:
             one.take("/tf", tf(transform("base_link", "arm", at)), at)
             order += read(one.take("/odom", odometry(at, "odom", "base_link", POSE), at)).order
         assert order.endswith("o" * 20)
+
+
+def test_one_message_of_an_unknown_body_is_no_problem_for_ever() -> None:
+    one = feed(odometry="/odom", tf="", tf_static="")
+    one.take("/odom", odometry(T0, "map", "wheels", POSE), T0)
+    assert any("poses of wheels" in line for line in one.problems(T0))
+    one.take("/odom", odometry(T0 + S, "map", "base_link", POSE), T0 + S)
+    assert not any("poses of wheels" in line for line in one.problems(T0 + S))

@@ -24,7 +24,7 @@ from roughmap_ros.wire.attachment import Attachment, pack_attachment, unpack_att
 from roughmap_ros.wire.errors import WireError
 from roughmap_ros.wire.matching import mismatches
 from roughmap_ros.wire.node import endpoints_seen
-from roughmap_ros.wire.services import MAX_WAITING
+from roughmap_ros.wire.services import MAX_REQUEST, MAX_WAITING
 from roughmap_schemas.faults import ReportedError
 
 CLOUD, HASH = "sensor_msgs/msg/PointCloud2", "RIHS01_9198"
@@ -199,7 +199,7 @@ def test_requests_that_cannot_be_answered_get_an_error(sessions: tuple[zenoh.Ses
 
     first, second = sessions
     good = pack_attachment(Attachment(1, 2, bytes(16)))
-    with RosNode(first, "mapper", keys="rmw_zenoh", max_message=100) as mapper:
+    with RosNode(first, "mapper", keys="rmw_zenoh") as mapper:
         mapper.service("/roughmap/get_map", GET_MAP, GET_MAP_HASH, answer)
         await_service(second, GET_MAP_KEY)
         for payload, attachment, words in (
@@ -208,7 +208,7 @@ def test_requests_that_cannot_be_answered_get_an_error(sessions: tuple[zenoh.Ses
             (CDR, None, "expected an attachment of rmw_zenoh; found none"),
             (CDR, bytes(2000), "expected an attachment of rmw_zenoh; found more than 1024 bytes"),
             (None, good, "expected a request in CDR; found none"),
-            (bytes(101), good, "larger than 100 bytes"),
+            (bytes(MAX_REQUEST + 1), good, "expected a request of at most 65536 bytes; found 65537"),
         ):
             error = call(second, GET_MAP_KEY, payload, attachment).err
             assert error is not None
@@ -411,3 +411,20 @@ def test_a_closed_session_gives_one_line() -> None:
     with pytest.raises(WireError, match=r"^/points: Zenoh: [^\n]+$"):
         publisher.put(CDR)
     node.close()
+
+
+def test_all_endpoints_of_many_nodes_are_seen(sessions: tuple[zenoh.Session, zenoh.Session]) -> None:
+    """More than a channel of Zenoh's holds, which a robot with Nav2 has; names that a terminal would obey are none."""
+    first, second = sessions
+    number = 600
+    with RosNode(first, "mapper", keys="rmw_zenoh") as mapper:
+        head = "@ros2_lv/0/1a/0"
+        end = f"%topic/std_msgs::msg::dds_::String_/RIHS01_{'0' * 64}/::,5:,:,:,,"
+        tokens = [
+            second.liveliness().declare_token(f"{head}/{n}/MP/%/%/{name}/{end}")
+            for n, name in ((0, "a\x1b[2J"), *((n, "node") for n in range(1, number + 1)))
+        ]
+        wait_until(lambda: len(mapper.seen()) >= number, "all endpoints")
+        assert {entity.id for entity in mapper.seen()} == set(range(1, number + 1))
+        for token in tokens:
+            token.undeclare()

@@ -23,6 +23,10 @@ EARLY_S: Final = 0.002
 """Topics that are due within this time are published together: one status for all."""
 
 
+MAX_ROS_NS: Final = 2**31 * 10**9 - 1
+"""The last stamp that a ROS message can hold, in 2038. The map takes later ones."""
+
+
 class _Scheduled:
     """A topic, when it is looked at next (monotonic s), and what it showed last."""
 
@@ -82,12 +86,15 @@ class MapPublisher:
         for one in due:
             if one.held == version:
                 one.topic.rest()
+                one.problem = ""
                 continue
             try:
                 one.held = self._show(one.topic, status) or one.held
                 one.problem = ""
             except RoughMapError as error:
                 one.problem = str(error)
+            except OverflowError:
+                one.problem = f"the position of {one.topic.robot} is beyond all maps"
 
     def _show(self, topic: MapTopic, status: MapStatus) -> Version | None:
         """Publish a topic; return the state of the map that it shows, None if its robot has no pose yet."""
@@ -96,5 +103,6 @@ class MapPublisher:
         if cells is None:
             return None
         region = self._client.region(cells.asked, topic.layers, level=out.level)
-        topic.show(Shown(region, cells, status.frame_id, status.newest_stamp_ns or time.time_ns()))
+        stamp_ns = min(status.newest_stamp_ns or time.time_ns(), MAX_ROS_NS)
+        topic.show(Shown(region, cells, status.frame_id, stamp_ns))
         return region.version

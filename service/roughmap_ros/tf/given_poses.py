@@ -114,6 +114,7 @@ class GivenPoses:
 
     def _based(self, given: GivenPose) -> GivenPose | None:
         if given.body in ("", self.base):
+            self.unknown_body = ""
             return replace(given, body=self.base)
         base = self.tree.find(given.body, self.base, given.stamp_ns)
         if base is None:

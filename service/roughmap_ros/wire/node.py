@@ -2,6 +2,7 @@
 
 import itertools
 import re
+import threading
 from collections.abc import Callable
 from types import TracebackType
 from typing import Final, Self
@@ -61,7 +62,7 @@ class RosNode:
         self._ours: list[Entity] = []
         self._undeclare: list[Callable[[], object]] = []
         self._refusals = Refusals()
-        self._services = Services(max_message, self._refusals)
+        self._services = Services(self._refusals)
         if self._rmw:
             node = Entity(Kind.NODE, domain, self._zid, NODE_ID, NODE_ID, self._namespace, name)
             self._declare_token(name, node.token)
@@ -168,12 +169,17 @@ def endpoints_seen(session: zenoh.Session, domain: int) -> list[Entity]:
 
     Takes no node of one's own. Not for callbacks. Raises WireError.
     """
-    found: dict[str, Entity] = {}
+    keys: list[str] = []
+    ended = threading.Event()
+
+    def take(reply: zenoh.Reply) -> None:
+        if reply.ok is not None and len(keys) < MAX_SEEN:
+            keys.append(str(reply.ok.key_expr))
+
+    # Zenoh replies with the tokens that it knows before `get` returns: a channel of theirs would fill up and hang.
+    handler = zenoh.handlers.Callback(take, ended.set, indirect=False)
     with zenoh_errors(f"ROS domain {domain}"):
-        for reply in session.liveliness().get(all_tokens(domain), timeout=SEEN_TIMEOUT_S):
-            entity = None if reply.ok is None else parse_token(str(reply.ok.key_expr))
-            if entity is not None and entity.kind != Kind.NODE:
-                found[entity.token] = entity
-            if len(found) >= MAX_SEEN:
-                break
-    return [found[token] for token in sorted(found)]
+        session.liveliness().get(all_tokens(domain), handler, timeout=SEEN_TIMEOUT_S)
+        ended.wait(SEEN_TIMEOUT_S + 1.0)
+    found = {entity.token: entity for key in list(keys) if (entity := parse_token(key)) is not None}
+    return [found[token] for token in sorted(found) if found[token].kind != Kind.NODE]

@@ -11,7 +11,7 @@ import zenoh
 
 from roughmap_ros.wire.attachment import Attachment, pack_attachment
 from roughmap_ros.wire.errors import zenoh_errors
-from roughmap_ros.wire.refusals import Refusals, larger_than
+from roughmap_ros.wire.refusals import Refusals
 from roughmap_ros.wire.subscriber import Refused, read_attachment
 from roughmap_schemas.faults import ReportedError
 
@@ -19,6 +19,9 @@ logger = logging.getLogger(__name__)
 
 MAX_WAITING: Final = 16
 """Requests that wait for an answer; more are refused."""
+
+MAX_REQUEST: Final = 64 << 10
+"""Bytes of a request. A GetMap's has one."""
 
 
 class Request(NamedTuple):
@@ -42,8 +45,7 @@ class Service(NamedTuple):
 class Services:
     """The services of a node. A handler may take its time and use Zenoh itself: requests wait for one another."""
 
-    def __init__(self, max_message: int, refusals: Refusals) -> None:
-        self._max_message = max_message
+    def __init__(self, refusals: Refusals) -> None:
         self._refusals = refusals
         self._waiting: queue.Queue[Request | None] = queue.Queue(MAX_WAITING)
         self._thread: threading.Thread | None = None
@@ -73,8 +75,8 @@ class Services:
             payload = query.payload
             if payload is None:
                 raise Refused("expected a request in CDR; found none")
-            if len(payload) > self._max_message:
-                raise Refused(larger_than(self._max_message))
+            if len(payload) > MAX_REQUEST:
+                raise Refused(f"expected a request of at most {MAX_REQUEST} bytes; found {len(payload)}")
             beside = read_attachment(query.attachment) if service.attached else None
             self._waiting.put_nowait(Request(service, query, payload.to_bytes(), beside))
         except queue.Full:

@@ -81,7 +81,7 @@ def all_tokens(domain: int) -> str:
 
 def parse_token(text: str) -> Entity | None:
     """Read a token of rmw_zenoh; None if it is none. Parts that newer versions append are passed over."""
-    if len(text) > MAX_TOKEN:
+    if len(text) > MAX_TOKEN or not text.isprintable():  # names go into log lines and onto terminals
         return None
     parts = text.split("/")
     if len(parts) < 9 or parts[0] != PREFIX or "" in parts[:9] or parts[5] not in set(Kind):

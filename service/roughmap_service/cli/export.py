@@ -97,6 +97,8 @@ def export(
     for place in (output, *(output.with_suffix(end) for end in known[suffix].beside)):
         if place.exists() and not force:
             raise BadUse(f"{place} exists; choose another name, or use --force to replace it")
+    if output.exists() and any(output.samefile(source) for source in sources):
+        raise BadUse(f"{output} is the map itself; choose another name")
     if output.is_dir() and (suffix or not (output / "metadata.yaml").is_file()):
         raise BadUse(f"{output} is a folder and not a bag, so it is not replaced; choose another name")
     if not output.absolute().parent.is_dir():

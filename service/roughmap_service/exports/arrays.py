@@ -11,7 +11,8 @@ from numpy.lib import format as npy
 
 from roughmap_service.exports.sheet import Sheet
 
-MAX_CELLS = 1 << 31
+MAX_BYTES = 8 << 30
+"""Of all arrays, which numpy has in memory when it reads them; they wait unpacked beside the file."""
 
 
 def write_arrays(sheet: Sheet, file: Path) -> None:
@@ -20,7 +21,7 @@ def write_arrays(sheet: Sheet, file: Path) -> None:
     These are the names of `roughmap query --npz`. An archive's arrays come one after another, so all but the first wait
     in files beside it.
     """
-    sheet.check_cells(MAX_CELLS, "an NPZ file")
+    sheet.check_cells(MAX_BYTES // 4 // len(sheet.layers), f"an NPZ file with {len(sheet.layers)} layers")
     where = {
         "origin": np.array(sheet.low),
         "cell_size": np.array(sheet.cell_size),

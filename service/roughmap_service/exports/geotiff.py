@@ -20,6 +20,9 @@ from roughmap_service.formats.pictures import STYLES
 MAX_SIDE = 1 << 30
 """Cells along a side: GDAL's numbers of pixels are 32 bits."""
 
+MAX_VALUES = 1 << 35
+"""Of all layers. GDAL looks at each, empty or not, for its overviews: some 40 million a second."""
+
 BLOCK = 512
 """Cells along the side of a block, GDAL's default for cloud-optimised files."""
 
@@ -39,6 +42,7 @@ def _write(sheet: Sheet, file: Path) -> None:
     either.
     """
     rows, columns = sheet.shape
+    sheet.check_cells(MAX_VALUES // len(sheet.layers), f"a GeoTIFF with {len(sheet.layers)} layers")
     if max(rows, columns) > MAX_SIDE:
         raise ExportFault(f"{file.name}: {columns} x {rows} cells are too many for GeoTIFF: choose a part with --bbox")
     profile = {
@@ -48,7 +52,10 @@ def _write(sheet: Sheet, file: Path) -> None:
         "transform": Affine(sheet.cell_size, 0.0, sheet.low[0], 0.0, -sheet.cell_size, sheet.high[1]),
     }  # fmt: skip
     low, high = np.inf, -np.inf
-    with rasterio.Env(GDAL_CACHEMAX=64 << 20), tempfile.TemporaryDirectory(dir=file.parent, prefix=".export-") as room:
+    env = rasterio.Env(
+        GDAL_CACHEMAX=64 << 20, CHECK_DISK_FREE_SPACE="FALSE"
+    )  # GDAL does not count empty blocks as such
+    with env, tempfile.TemporaryDirectory(dir=file.parent, prefix=".export-") as room:
         sparse = Path(room) / "sparse.tif"
         with rasterio.open(sparse, "w", **profile) as written:
             if sheet.crs is not None:

@@ -1,5 +1,6 @@
 """Nav2's map: a PGM picture and a YAML file, as map_server loads and saves them."""
 
+import json
 from pathlib import Path
 from typing import Final
 
@@ -34,7 +35,8 @@ def write_nav2(sheet: Sheet, file: Path, threshold: float) -> None:
             shades.write(np.where(np.isfinite(values), known, np.uint8(UNKNOWN)).tobytes())
     x, y = sheet.low
     file.with_suffix(".yaml").write_text(
-        f"image: {picture.name}\nmode: trinary\nresolution: {sheet.cell_size!r}\norigin: [{x!r}, {y!r}, 0.0]\n"
+        f"image: {json.dumps(picture.name)}\nmode: trinary\n"
+        f"resolution: {sheet.cell_size!r}\norigin: [{x!r}, {y!r}, 0.0]\n"
         f"negate: 0\noccupied_thresh: {OCCUPIED_THRESHOLD}\nfree_thresh: {FREE_THRESHOLD}\n",
         encoding="ascii",
     )

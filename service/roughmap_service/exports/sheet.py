@@ -12,6 +12,9 @@ import numpy.typing as npt
 from roughmap.cell import TILE_CELLS
 from roughmap_schemas.faults import ReportedError
 
+BAND_BYTES: Final = 64 << 20
+"""Most bytes of a band of several rows."""
+
 ZERO_WHERE_UNKNOWN: Final = frozenset({"count", "weight", "expected_count"})
 """Layers that are 0, not NaN, in unknown cells."""
 
@@ -99,28 +102,36 @@ class Sheet:
             self.watch(done, len(self.tiles))
 
     def bands(self, *, upward: bool = False) -> Iterator[Plane]:
-        """Yield bands of at most 64 whole rows, (rows, columns, L), from the top down (or upward).
+        """Yield bands of whole rows, (rows, columns, L), from the top down (or upward).
 
-        Within a band, too, the first row is the highest (or the lowest). A band is valid until the next one.
+        Within a band, too, the first row is the highest (or the lowest). A band has at most 64 rows, and not more than
+        `BAND_BYTES` unless one row has: between two distant places there may be millions of columns.
         """
         height = self.shape[0]
         at = 0
         for _, parts in itertools.groupby(self.parts(upward=upward), lambda part: part.j):
-            first = next(parts)
-            rows = len(first.values)
-            begin = first.j if upward else height - first.j - rows
+            row = list(parts)
+            rows = len(row[0].values)
+            begin = row[0].j if upward else height - row[0].j - rows
             yield from self._unknown(begin - at)
-            band = self._blank(rows)
-            for part in itertools.chain([first], parts):
-                band[:, part.i : part.i + part.values.shape[1]] = part.values if upward else part.values[::-1]
-            yield band
+            for low in range(0, rows, self._most_rows):
+                band = self._blank(min(self._most_rows, rows - low))
+                for part in row:
+                    values = part.values if upward else part.values[::-1]
+                    band[:, part.i : part.i + values.shape[1]] = values[low : low + len(band)]
+                yield band
             at = begin + rows
         yield from self._unknown(height - at)
 
     def _unknown(self, rows: int) -> Iterator[Plane]:
         """Yield bands without a tile."""
-        for begin in range(0, rows, TILE_CELLS):
-            yield self._blank(min(TILE_CELLS, rows - begin))
+        for begin in range(0, rows, self._most_rows):
+            yield self._blank(min(self._most_rows, rows - begin))
+
+    @property
+    def _most_rows(self) -> int:
+        """The most rows of a band."""
+        return max(min(TILE_CELLS, BAND_BYTES // (4 * self.shape[1] * len(self.layers))), 1)
 
     def _blank(self, rows: int) -> Plane:
         band = np.empty((rows, self.shape[1], len(self.layers)), np.float32)

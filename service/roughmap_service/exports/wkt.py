@@ -1,6 +1,11 @@
 """Coordinate reference systems as WKT."""
 
+import re
+
 from roughmap_service.exports.sheet import ExportFault
+
+WKT = re.compile(r"\s*[A-Z][A-Z_0-9]*\s*[\[(]", re.IGNORECASE)
+"""How WKT of any form begins: PROJCS[, PROJCRS[, COMPD_CS[."""
 
 ESRI = "WKT1_ESRI"
 """The form of .prj files."""
@@ -15,6 +20,8 @@ def as_wkt(crs: str, form: str, what: str) -> str:
     WKT of any form is returned as it is.
     """
     if not crs.upper().startswith("EPSG:"):
+        if WKT.match(crs) is None:
+            raise ExportFault(f"coordinate reference system {crs[:60]!r}: expected EPSG:n or WKT (--crs)")
         return crs
     try:
         from rasterio import Env  # noqa: PLC0415 - of an extra

@@ -14,12 +14,12 @@ from roughmap_service.formats.damage import damage
 from roughmap_service.formats.recorded import CloudFileFault
 from roughmap_service.formats.robot_messages import Raw
 from roughmap_service.formats.topics import Topic, absolute, role_of
+from roughmap_service.formats.unpacking import MAX_CHUNK, bound_rosbags
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
-MAX_CHUNK = 1 << 30
-"""Most bytes of an MCAP file's chunk, unpacked: one is in memory at a time, and those that overlap it."""
+bound_rosbags()
 
 
 class Bag:

@@ -43,6 +43,8 @@ def reader_of(path: Path) -> Reader:
         if found is None:
             holds = ", ".join(sorted((*FOLDERS, *CLOUD_SUFFIXES)))
             raise CloudFileFault(f"{path}: not a recording; expected a folder with one of {holds} in it, or a file")
+    elif path.exists() and not path.is_file():
+        raise CloudFileFault(f"{path}: not a recording; expected a file or a folder, found a pipe or a device")
     else:
         suffix = path.suffix.lower()
         found = READERS.get(suffix)
