@@ -27,10 +27,10 @@ demo: $(READY)  ## run service, rover, planner and replay for about a minute; pi
 	$(BIN)/roughmap demo $(ARGS)
 
 test: $(READY)  ## run all tests, on two cores
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 test-random: $(READY)  ## run the property tests with random examples, ten times as many as in make test
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m hypothesis --hypothesis-profile=random --timeout=2400 $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m hypothesis --hypothesis-profile=random --timeout=2400 $(ARGS)
 
 test-recordings: $(READY)  ## run the tests with recorded scans: DATA=FOLDER (CONTRIBUTING.md names what it must hold)
 	@test -d "$(DATA)" || { echo "no folder of recordings: make test-recordings DATA=FOLDER"; exit 1; }

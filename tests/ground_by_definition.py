@@ -20,12 +20,6 @@ Row = dict[str, Any]
 """A record by names."""
 
 
-def _rows(array: np.ndarray | None) -> list[Row] | None:
-    if array is None:
-        return None
-    return [dict(zip(array.dtype.names, row, strict=True)) for row in array.reshape(-1).tolist()]
-
-
 def half_even(value: float) -> int:
     """Round as if the quotient had no rounding error."""
     return round(round(value, 9))
@@ -38,18 +32,24 @@ class ByDefinition:
         self.limits = LIMITS | (limits or {})
         self.tolerance = tolerance
         self.side = side
-        self.tiles = {place: [_rows(array) for array in state] for place, state in tiles.items()}
+        self.tiles = tiles
         self.footprint = min(half_even(max(0.3, 1.5 * side) / side), 6)
         self.window = min(half_even(max(0.5, 2.0 * side) / side), 10)
         self.band = max(0.15, 0.6 * side)
-        for name in ("supported", "height", "plane", "step", "objects", "traversability", "_summary", "_prior"):
+        remembered = (
+            "cell", "supported", "height", "plane", "step", "objects", "traversability", "_find", "_mean", "_summary",
+            "_prior",
+        )  # fmt: skip
+        for name in remembered:
             setattr(self, name, cache(getattr(self, name)))  # one memory for each level
 
     def _find(self, kind: int, i: int, j: int) -> Row | None:
         tile = self.tiles.get((i // TILE_CELLS, j // TILE_CELLS))
         if tile is None or tile[kind] is None:
             return None
-        return tile[kind][(j % TILE_CELLS) * TILE_CELLS + i % TILE_CELLS]
+        array = tile[kind]
+        row = array[(j % TILE_CELLS) * TILE_CELLS + i % TILE_CELLS].tolist()
+        return dict(zip(array.dtype.names, row, strict=True))
 
     def cell(self, i: int, j: int) -> Row | None:
         """The record of a cell, None if nothing ever hit it."""
@@ -76,13 +76,16 @@ class ByDefinition:
                     total += self.points(x, y)
         return total >= 1.5
 
+    def _mean(self, i: int, j: int) -> float:
+        """The mean of a supported cell, infinity elsewhere."""
+        return float(self.cell(i, j)["mean"]) if self.supported(i, j) else math.inf
+
     def height(self, i: int, j: int) -> float:
         """The known ground, NaN elsewhere."""
-        if not self.supported(i, j):
+        here, r = self._mean(i, j), self.window
+        if here == math.inf:
             return math.nan
-        around = range(-self.window, self.window + 1)
-        lowest = min(self.cell(i + x, j + y)["mean"] for x in around for y in around if self.supported(i + x, j + y))
-        here = float(self.cell(i, j)["mean"])
+        lowest = min(self._mean(x, y) for x in range(i - r, i + r + 1) for y in range(j - r, j + r + 1))
         return math.nan if here - lowest > self.limits["clearance"] else here
 
     def plane(self, i: int, j: int) -> tuple[float, float, float] | None:
@@ -254,8 +257,7 @@ class CoarseByDefinition(ByDefinition):
     def __init__(self, fine: ByDefinition, z: int) -> None:
         super().__init__({}, fine.side * 2**z, fine.limits, fine.tolerance)
         self.fine, self.z = fine, z
-        for name in ("cell", "_trusted"):
-            setattr(self, name, cache(getattr(self, name)))
+        self._trusted = cache(self._trusted)
 
     def below(self, i: int, j: int) -> Iterable[tuple[int, int]]:
         size = 2**self.z

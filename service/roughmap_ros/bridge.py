@@ -45,6 +45,12 @@ STATIC: Final = Qos(reliable=True, transient_local=True, depth=100)
 GONE_NS: Final = 60 * 10**9
 """A robot of which nothing came for so long is switched off, and that is no problem."""
 
+REMEDY: Final = "; start what publishes it, or correct ros2.robots"
+"""What to do about a topic or a link of the tf tree that is missing."""
+
+ABSENT: Final = ("nothing came on ", " never came", " stopped ", " is not connected to ")
+"""Words of sentences that say so."""
+
 Sink = Callable[[str, RobotMessage], None]
 """Takes a message of a robot, in the order in which the robot's messages come."""
 
@@ -133,19 +139,26 @@ class Bridge:
         """
         self._tell_refused()
         found: dict[str, str] = {}
-        now = time.time_ns()
-        for robot, fed in self._fed.items():
-            with fed.lock:
-                gone = fed.heard_ns is not None and now - fed.heard_ns > GONE_NS
-                sentences = [] if gone else fed.feed.problems(now)
-            if sentences:
-                found[f"robot {robot} ros2"] = f"robot {robot} ros2: {'; '.join(sentences)}"
+        for robot, sentences in self.of_robots().items():
+            absent = any(word in sentence for sentence in sentences for word in ABSENT)
+            found[f"robot {robot} ros2"] = f"robot {robot} ros2: {'; '.join(sentences)}{REMEDY if absent else ''}"
         for line in self._node.mismatches():
             subject = f"ros2 {line.partition(':')[0]}"
             found[subject] = f"{found[subject]}; {line}" if subject in found else f"ros2 {line}"
         if self._publisher is not None:
             for name, text in self._publisher.problems().items():
                 found[f"ros2.out.{name}"] = f"ros2.out.{name}: can't be published: {text}"
+        return found
+
+    def of_robots(self) -> dict[str, list[str]]:
+        """Return what is wrong at present with the topics and transforms of each robot that is on, in sentences."""
+        found, now = {}, time.time_ns()
+        for robot, fed in self._fed.items():
+            with fed.lock:
+                gone = fed.heard_ns is not None and now - fed.heard_ns > GONE_NS
+                sentences = [] if gone else fed.feed.problems(now)
+            if sentences:
+                found[robot] = sentences
         return found
 
     def _tell_refused(self) -> None:

@@ -97,8 +97,9 @@ class RobotFeed:
 
     def problems(self, now_ns: int) -> list[str]:
         """Say what is missing or wrong, one line each, at most 20. ``now_ns`` is of the clock of ``log_ns``."""
-        heard = [topic.heard for topic in self._topics.values()]
-        lines = [problem for one in heard if (problem := one.problem(now_ns))]
+        if not any(topic.heard.count for topic in self._topics.values()):
+            return [f"nothing came on {', '.join(self._topics)}"]
+        lines = [problem for topic in self._topics.values() if (problem := topic.heard.problem(now_ns))]
         lines += self._pose_problems(now_ns)
         for sensor in self._mountings.sensors:
             lines += self._sensor_problems(sensor, now_ns)
@@ -110,13 +111,20 @@ class RobotFeed:
     def _read_topics(self, topics: Ros2RobotConfig) -> dict[str, _Topic]:
         found: dict[str, _Topic] = {}
 
-        def add(topic: str, ros_type: str, take: Callable[[bytes, int], list[RobotMessage]], *, steady: bool) -> None:
-            found.setdefault(topic, _Topic(ros_type, take, Heard(topic, steady)))
+        def add(
+            topic: str,
+            ros_type: str,
+            take: Callable[[bytes, int], list[RobotMessage]],
+            *,
+            steady: bool = True,
+            needed: bool = True,
+        ) -> None:
+            found.setdefault(topic, _Topic(ros_type, take, Heard(topic, steady, needed)))
 
         for topic in topics.clouds:
-            add(topic, POINT_CLOUD, partial(self._take_cloud, cloud_message), steady=True)
+            add(topic, POINT_CLOUD, partial(self._take_cloud, cloud_message))
         for topic in topics.livox:
-            add(topic, LIVOX, partial(self._take_cloud, livox_message), steady=True)
+            add(topic, LIVOX, partial(self._take_cloud, livox_message))
         setting: str = topics.source
         if self._from_tf:  # then the topic gives covariances
             setting = "odometry" if topics.odometry else "pose"
@@ -125,10 +133,9 @@ class RobotFeed:
             self._pose_topic = topic
             ros_type, read = POSE_TYPES[setting]
             add(topic, ros_type, partial(self._take_pose, read), steady=not self._from_tf)
-        if topics.tf:
-            add(topics.tf, TF, partial(self._take_tf, static=False), steady=True)
-        if topics.tf_static:
-            add(topics.tf_static, TF, partial(self._take_tf, static=True), steady=False)
+        for name, static in ((topics.tf, False), (topics.tf_static, True)):
+            if name:  # the links that are needed are judged, not the topic: many robots have no static transforms
+                add(name, TF, partial(self._take_tf, static=static), steady=False, needed=False)
         return found
 
     def _take_tf(self, cdr: bytes, log_ns: int, *, static: bool) -> list[RobotMessage]:

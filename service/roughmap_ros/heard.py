@@ -12,6 +12,8 @@ class Heard:
     topic: str
     steady: bool = True
     """Whether its messages come at a rate."""
+    needed: bool = True
+    """Whether it is a problem that none ever came."""
     count: int = 0
     first_ns: int = 0
     last_ns: int = 0
@@ -25,7 +27,7 @@ class Heard:
     def problem(self, now_ns: int) -> str:
         """Say that it never came, or stopped; "" if neither."""
         if not self.count:
-            return f"{self.topic} never came"
+            return f"{self.topic} never came" if self.needed else ""
         interval_ns = (self.last_ns - self.first_ns) // max(self.count - 1, 1)
         silent_ns = now_ns - self.last_ns
         if self.steady and silent_ns > max(STOPPED_NS, STOPPED_INTERVALS * interval_ns):

@@ -1,6 +1,7 @@
 """`roughmap build`: what is stored is the map that the library makes of the same points."""
 
 import json
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,34 @@ def test_what_is_there_is_kept_unless_forced(tmp_path: Path, capsys: pytest.Capt
     assert stored(tmp_path / "map.db")[1] == 1
 
 
+@pytest.mark.parametrize(
+    ("name", "words"), [("points.xyz", "-o points.db"), ("map.tif", "`roughmap export` writes .tif of it")]
+)
+def test_a_recording_is_never_overwritten_by_its_map(capsys: pytest.CaptureFixture[str], name: str, words: str) -> None:
+    Path("points.xyz").write_text("1 2 3\n")
+    code, _, err = build(["points.xyz", "-o", name, "--force"], capsys)
+    assert code == 2
+    assert words in err
+    assert Path("points.xyz").read_text() == "1 2 3\n"
+
+
+def test_a_full_disk_is_one_line_and_the_map_before_stays(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("points.xyz").write_text("1 2 3\n")
+    assert build(["points.xyz", "-o", "map.db"], capsys)[0] == 0
+    before = stored(Path("map.db"))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))  # no file can grow beyond it
+    try:
+        code, _, err = build(["points.xyz", "-o", "map.db", "--force"], capsys)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert code == 1
+    assert err.startswith("roughmap: map.db: ")
+    assert err.count("\n") == 1
+    assert stored(Path("map.db")) == before
+    assert sorted(path.name for path in Path().iterdir()) == ["map.db", "points.xyz"]
+
+
 def test_a_torn_file_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "points.npz").write_bytes(b"PK\x03\x04 torn")
     code, _, err = build(["points.npz", "-o", "map.db"], capsys)
@@ -141,9 +170,10 @@ def test_no_data_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 def test_only_no_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a.xyz").write_text("100.5 200.5 -9999\n")
-    code, out, _ = build(["a.xyz", "-o", "map.db"], capsys)
+    code, out, err = build(["a.xyz", "-o", "map.db"], capsys)
     assert code == 0
     assert "0 of 1 points integrated; rejected: 1 no_data" in out
+    assert "warning: the map is empty" in err
 
 
 def test_survey_coordinates_are_printed_in_full(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -37,10 +38,22 @@ def not_well(found: list[Finding]) -> list[tuple[str, str]]:
     return [(finding.verdict, finding.text) for finding in found if finding.verdict != "ok"]
 
 
+@cache
+def messages_of(name: str) -> list[Message]:
+    """The messages of a drive with a fault, made once."""
+    return FAULTS[name].drive.messages()
+
+
+@cache
+def findings_of(name: str) -> list[Finding]:
+    """What is said of them, judged once."""
+    return findings(messages_of(name), FAULTS[name].settings)
+
+
 @pytest.mark.parametrize("name", FAULTS)
 def test_each_fault_is_named(name: str) -> None:
     fault = FAULTS[name]
-    told = not_well(findings(fault.drive.messages(), fault.settings))
+    told = not_well(findings_of(name))
     assert any(verdict == fault.verdict and text.startswith(fault.words) for verdict, text in told), told
     others = [text for _, text in told if not text.startswith(fault.words)]
     expected = TOGETHER.get(name, [])
@@ -52,8 +65,8 @@ def test_each_fault_is_named(name: str) -> None:
 @pytest.mark.parametrize("name", FAULTS)
 def test_all_that_is_not_well_has_a_remedy_and_pasted_settings_mend_it(name: str) -> None:
     fault = FAULTS[name]
-    messages = fault.drive.messages()
-    for finding in findings(messages, fault.settings):
+    messages = messages_of(name)
+    for finding in findings_of(name):
         assert finding.verdict == "ok" or finding.remedy, finding
         assert finding.remedy.endswith(":") == bool(finding.settings), finding
         if finding.settings:
@@ -71,9 +84,9 @@ def test_each_fault_is_found_within_three_seconds() -> None:
         "poses that turn",
         "dead",
     }
-    for name, (drive, verdict, words, settings) in FAULTS.items():
+    for name, (_, verdict, words, settings) in FAULTS.items():
         if not any(name.startswith(one) for one in slow):
-            told = not_well(findings(drive.messages(), settings, seconds=3.0))
+            told = not_well(findings(messages_of(name), settings, seconds=3.0))
             shape = words.lstrip("0123456789, of.")[:25]  # numbers differ
             assert any(v == verdict and shape in text for v, text in told), (name, told)
 

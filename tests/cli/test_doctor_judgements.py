@@ -177,6 +177,9 @@ def test_what_the_service_made_of_it() -> None:
         ("service", "all is lost; do this"),
         ("service", "rejected 3,000 of 3,000 points meanwhile: uncertain 3,000"),
     ]
+    assert [finding.text for finding in judge_service(before, uncertain, {"robot r1"})] == [
+        "rejected 3,000 of 3,000 points meanwhile: uncertain 3,000"
+    ], "what was told is not told again"
 
 
 def test_tables_quote_what_must_be_quoted() -> None:

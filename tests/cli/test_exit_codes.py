@@ -8,6 +8,7 @@ import pytest
 import zenoh
 
 import roughmap_client
+import roughmap_ros
 import roughmap_schemas
 import roughmap_service
 from roughmap_schemas.faults import ConfigFault, ReportedError
@@ -15,13 +16,17 @@ from roughmap_service.cli import main
 
 CODES = {
     "BadArgument": 1,
+    "BadAttachment": 1,
+    "BadFoxgloveMessage": 1,
     "BadJson": 1,
+    "BadRosMessage": 1,
     "CloudFileFault": 2,
     "ConfigFault": 2,
     "ContractError": 1,
     "ContractMismatch": 1,
     "DamagedLog": 2,
     "DamagedStore": 2,
+    "ExportFault": 2,
     "Fault": 1,
     "HttpError": 2,
     "IdentityError": 2,
@@ -37,6 +42,7 @@ CODES = {
     "PortTaken": 1,
     "QueryFault": 2,
     "QueryRefused": 1,
+    "Refused": 1,
     "ReplayError": 2,
     "RoughMapError": 1,
     "RunError": 1,
@@ -48,12 +54,13 @@ CODES = {
     "TransportError": 1,
     "UnknownEventKind": 1,
     "UnreadableAnswer": 1,
+    "WireError": 1,
 }
 
 
 def all_errors() -> dict[str, type[ReportedError]]:
     """Import every module; return all subclasses of the base by name."""
-    for package in (roughmap_schemas, roughmap_client, roughmap_service):
+    for package in (roughmap_schemas, roughmap_client, roughmap_ros, roughmap_service):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             importlib.import_module(module.name)
     found: dict[str, type[ReportedError]] = {}

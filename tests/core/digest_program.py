@@ -74,14 +74,19 @@ def digests(numbers_of_threads: tuple[int, ...] = (1, 2)) -> dict[str, str]:
     return found
 
 
+def machine() -> dict[str, str]:
+    """Return the CPU and its features that kernels are compiled for."""
+    _, cpu, features = cpu_target.target_context.codegen().magic_tuple()
+    return {"cpu": cpu, "features": features}
+
+
 def main() -> None:
     found = digests()
     if sys.argv[1:] == ["--keep"]:
         alone = {name[: -len(", 1")]: digest for name, digest in found.items() if name.endswith(", 1")}
         KEPT.write_text(json.dumps(alone, indent=2) + "\n")
         return
-    _, cpu, features = cpu_target.target_context.codegen().magic_tuple()
-    print(json.dumps({"cpu": cpu, "features": features, "digests": found}))
+    print(json.dumps({**machine(), "digests": found}))
 
 
 if __name__ == "__main__":

@@ -56,17 +56,75 @@ def test_a_box_and_a_level_choose_the_cells(stored: Stored, tmp_path: Path) -> N
         (["-o", "a.npz", "--bbox", "0,0,1,1"], "nothing is known in --bbox; the map's tiles lie in 412"),
         (["-o", "a.tif", "--crs", "EPSG:999999"], "coordinate reference system 'EPSG:999999'"),
         (["-o", "a.npz", "--connect", "tcp/127.0.0.1:1"], "not both"),
+        (["-o", "a.npz", "--crs", "UTM33"], "--crs UTM33: expected EPSG:CODE"),
+        (["other.db", "-o", "a.npz"], "expected the logs (*.mcap) of one run, or one map.db alone"),
     ],
 )
 def test_a_wrong_use_is_one_line(
     stored: Stored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys, arguments: list[str], words: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    arguments = [argument.replace("other.db", str(stored.path)) for argument in arguments]
     assert command_line(["export", str(stored.path), *arguments]) == 2
     said = capsys.readouterr().err
     assert words in said
     assert said.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("scan.las", "scan.las: neither a map.db nor a log; make a map of a recording first: roughmap build"),
+        ("bag/metadata.yaml", "bag: a folder without roughmap's logs; make a map of a recording first"),
+        ("scans/1.ply", "scans: a folder without roughmap's logs; make a map of a recording first"),
+    ],
+)
+def test_a_recording_is_not_yet_a_map(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys, name: str, words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_bytes(b"LASF and so on, of some length")
+    assert command_line(["export", name.split("/", maxsplit=1)[0], "-o", "a.npz"]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+
+
+def test_a_store_of_an_earlier_release_says_what_to_export_instead(tmp_path: Path, capsys) -> None:
+    old = tmp_path / "map.db"
+    old.write_bytes((Path(__file__).parents[1] / "offline" / "state_1" / "map.db").read_bytes())
+    assert command_line(["export", str(old), "-o", str(tmp_path / "a.npz")]) == 2
+    said = capsys.readouterr().err
+    assert "state version 1, not 2; export the logs of its run" in said
+    assert said.count("\n") == 1
+
+
+def test_what_stands_beside_is_only_replaced_by_force(stored: Stored, tmp_path: Path) -> None:
+    for name, beside in (("a.png", "a.pgw"), ("a.yaml", "a.pgm"), ("a.tif", "a.qml")):
+        (tmp_path / beside).write_text("mine")
+        code, said = run(stored.path, "-o", tmp_path / name)
+        assert code == 2
+        assert f"{beside} exists" in said
+        assert (tmp_path / beside).read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["a.npz", "a.tif", "a.png", "a.las", "bag"])
+def test_an_export_that_fails_leaves_what_was_there(
+    stored: Stored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """The map's tiles can't be read from the second one on, as from a bad disk."""
+    assert run(stored.path, "-o", tmp_path / name)[0] == 0
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    broken = tmp_path / "broken.db"
+    content = bytearray(stored.path.read_bytes())
+    content[len(content) // 3 : len(content) // 3 + 8192] = bytes(8192)
+    broken.write_bytes(content)
+    assert command_line(["export", str(broken), "-o", str(tmp_path / name), "--force"]) != 0
+    broken.unlink()
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    assert not list(tmp_path.glob(".roughmap-*"))
 
 
 def test_a_file_is_only_replaced_by_force(stored: Stored, tmp_path: Path) -> None:

@@ -127,5 +127,5 @@ def test_a_bag_replaces_a_bag_and_no_other_folder(stored: Stored, export, tmp_pa
     assert export("ground", "--force") == folder
     (folder / "metadata.yaml").unlink()
     done = CliRunner().invoke(command, [str(stored.path), "-o", str(folder), "--force"])
-    assert "is not a bag" in str(done.exception)
+    assert "not a bag" in done.output
     assert list(folder.glob("*.mcap"))

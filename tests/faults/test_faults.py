@@ -1,7 +1,6 @@
 """`make faults`, shortened: the same trials, a few times each, of a seed that stays."""
 
 import os
-import random
 import re
 import subprocess
 import sys
@@ -11,48 +10,14 @@ import paths  # noqa: F401 - before what it makes importable
 import pytest
 from report import Trial
 from run import TRIALS
+from short_trials import KILLED, nothing_is_found
 
 RUN = Path(__file__).with_name("run.py")
 
-SHORT = {
-    "kills": 1,
-    "start": 1,
-    "shutdown": 1,
-    "power": 8,
-    "killcut": 2,
-    "cuts": 150,
-    "logflips": 40,
-    "storeflips": 40,
-    "stores": 30,
-    "disk": 1,
-    "hang": 1,
-    "realdisk": 1,
-    "clock": 2,
-    "links": 2,
-    "messages": 20,
-}
 
-
-@pytest.mark.parametrize("name", TRIALS)
+@pytest.mark.parametrize("name", [name for name in TRIALS if name not in KILLED])
 def test_nothing_is_found(name: str, tmp_path: Path) -> None:
-    title, do, full = TRIALS[name]
-    if name == "realdisk" and os.geteuid():
-        try_in_a_namespace(name, SHORT[name] / full, tmp_path)
-        return
-    trial = Trial(title)
-    do(trial, tmp_path, random.Random(f"tests {name}"), SHORT[name])
-    trial.check()
-
-
-def try_in_a_namespace(name: str, share: float, folder: Path) -> None:
-    """Where a user may mount something, other than root."""
-    command = ["unshare", "--user", "--map-root-user", "--mount", sys.executable, str(RUN)]
-    done = subprocess.run(
-        [*command, "--only", name, "--share", str(share)], env={**os.environ, "TMPDIR": str(folder)},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert re.search(r"\(real\) +[1-9]\d* +0 ", done.stdout), done.stdout + done.stderr
+    nothing_is_found(name, tmp_path)
 
 
 def test_the_command_tells_what_it_tried(tmp_path: Path) -> None:

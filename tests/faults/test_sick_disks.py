@@ -12,7 +12,7 @@ from typing import Any
 import paths  # noqa: F401 - before what it makes importable
 import pytest
 from load import dense
-from net import Gathered
+from net import Gathered, wait_until
 from processes import T0, Feed, Service, connected
 from shim import Shim
 
@@ -158,7 +158,8 @@ def test_a_spill_file_that_hangs_is_reported_and_only_the_map_waits(shim: Shim, 
             for number in range(2, 5):
                 feed.send("points", "r1", dense(number), answers)
             answers.wait(lambda items: "busy" in items, "a request that finds no room")
+            wait_until(lambda: sick.events() == ["stalled"], "the log line on the stall")
         sick.becomes("ok")
         answers.wait(lambda items: len(items) == 3, "the receipts of those that found room")
         assert feed.decided(feed.ingest("points", "r1", placed(1)).input).outcome == "integrated"
-    assert sick.events() == ["stalled", "stall_ended"]
+        wait_until(lambda: sick.events() == ["stalled", "stall_ended"], "the log line on its end")

@@ -24,6 +24,7 @@ POINTS = np.array(
 STREAM = ReadOptions(scan_seconds=0.1)
 
 WKT = 'PROJCS["WGS 84 / UTM zone 13N",GEOGCS["WGS 84"],UNIT["metre",1],AUTHORITY["EPSG","32613"]]'
+DEGREES = 'COMPD_CS["WGS 84 + height",GEOGCS["WGS 84",UNIT["degree",0.017]],VERT_CS["height",UNIT["metre",1]]]'
 FEET = (
     'PROJCS["NAD83 / Colorado (ftUS)",GEOGCS["NAD83",UNIT["degree",0.017]],UNIT["US survey foot",0.3048006096012192]]'
 )
@@ -151,6 +152,8 @@ def test_too_many_points_out_of_order_are_told(tmp_path: Path, monkeypatch: pyte
         (las_bytes(POINTS, times=np.array([1.0, 2.0, 1e12]), encoding=1), "adjusted standard GPS time"),
         (las_bytes(POINTS, records=(las_record(b"LASF_Projection", 2112, FEET.encode()),), encoding=16), "in feet"),
         (las_bytes(POINTS, records=(keys((1024, 1), (3072, 2232), (3076, 9003)),)), "in feet"),
+        (las_bytes(POINTS, records=(keys((1024, 2), (2048, 4326)),)), "in degrees"),
+        (las_bytes(POINTS, records=(las_record(b"LASF_Projection", 2112, DEGREES.encode()),), encoding=16), "degrees"),
         (las_bytes(POINTS)[:-1], "cut off"),
     ],
 )  # fmt: skip
@@ -166,7 +169,6 @@ def test_what_cannot_be_read_by_time(tmp_path: Path, content: bytes, said: str) 
         ((las_record(b"LASF_Projection", 2112, WKT.encode() + b"\0"),), 16, WKT),
         ((las_record(b"other", 1, b"x"), las_record(b"LASF_Projection", 2112, WKT.encode())), 0, WKT),
         ((keys((1024, 1), (3072, 32613)),), 0, "EPSG:32613"),
-        ((keys((1024, 2), (2048, 4326)),), 0, "EPSG:4326"),
         ((keys((1024, 1), (2048, 4326), (3072, 32767)),), 0, None),
         ((keys((1024, 1), (3072, 32613)), las_record(b"LASF_Projection", 2112, WKT.encode())), 16, WKT),
     ],
@@ -177,6 +179,13 @@ def test_the_reference_system_is_kept(
     file = write(tmp_path, las_bytes(POINTS, records=records, encoding=encoding))
     assert crs_of(file) == crs
     assert np.array_equal(together(list(read_las(file, ReadOptions()))), on_grid(POINTS))
+
+
+def test_a_reference_system_beside_a_file_must_be_in_metres(tmp_path: Path) -> None:
+    file = write(tmp_path, b"1 2 3\n", "cloud.xyz")
+    (tmp_path / "cloud.prj").write_text(FEET)
+    with pytest.raises(CloudFileFault, match=r"cloud\.prj: .* in feet"):
+        crs_of(file)
 
 
 def test_the_reference_system_beside_a_file(tmp_path: Path) -> None:

@@ -10,7 +10,8 @@ from roughmap_schemas import Config
 from roughmap_schemas.reasons import CloudReason, PointReason, PoseReason, Refusal
 from roughmap_service.host.counters import OTHERS
 from roughmap_service.inputs.admission import frame_of
-from roughmap_service.inputs.remedies import Figures, Subject, sensor_table, toml_key
+from roughmap_service.inputs.losses import Cause, Outcome
+from roughmap_service.inputs.remedies import Figures, Subject, sensor_table, sentence, toml_key
 from roughmap_service.inputs.streams import (
     MAX_PROBLEMS,
     MAX_STRANGERS,
@@ -351,3 +352,14 @@ def test_the_frame_of_a_broken_cloud_is_found_where_there_is_one() -> None:
     assert frame_of(b"no protobuf at all") == ""
     assert frame_of(b"") == ""
     assert len(frame_of(b"\x12\x80\x80\x04" + b"x" * 65536)) <= 500
+
+
+def test_a_robot_on_ros_topics_without_poses_is_sent_to_doctor() -> None:
+    config = Config.model_validate({"ros2": {"robots": {"rover": {"clouds": ["/points"]}}}})
+    cause = Cause("cloud", "no_pose")
+    for robot, remedy in (
+        ("rover", "`roughmap doctor` names the ROS topic"),
+        ("r2", "publish its odometry on robots/r2"),
+    ):
+        text = sentence(config, Subject(robot, "lidar"), cause, [Outcome(0.0, cause)], Figures())
+        assert remedy in text

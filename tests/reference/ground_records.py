@@ -20,10 +20,10 @@ def written(m: RoughMap) -> Found:
         cells, trust = state.cells, state.trust
         column = np.zeros(len(cells), COLUMN_DTYPE) if state.column is None else state.column
         assert (state.column is not None) == bool((column["flags"] & BASED).any())
-        for k in range(len(cells)):
-            record = cells[k].tobytes(), trust[k].tobytes(), column[k].tobytes()
-            if any(map(any, record)):
-                found[i0 + k % TILE_CELLS, j0 + k // TILE_CELLS] = record
+        parts = [np.ascontiguousarray(part).view(np.uint8).reshape(len(cells), -1) for part in (cells, trust, column)]
+        for k in np.flatnonzero(np.column_stack([part.any(axis=1) for part in parts]).any(axis=1)).tolist():
+            cell, known, above = (part[k].tobytes() for part in parts)
+            found[i0 + k % TILE_CELLS, j0 + k // TILE_CELLS] = cell, known, above
     return found
 
 

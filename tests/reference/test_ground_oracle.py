@@ -168,18 +168,21 @@ def test_a_ground_that_has_crept_up(model: str, drop: float) -> None:
     """The bins stay where they were, so that hits in them may lie more than 2 m below: three are enough there."""
     m = RoughMap(threads=1, surface="ground", error_model=model)
     oracle = GroundOracle(m.settings)
+    S = np.eye(3) * 1e-4
+    points: list[tuple[float, float, float]] = []
 
     def add(h: float) -> float:
-        points, S = np.array([(0.05, 0.05, h)]), np.eye(3) * 1e-4
-        m.add(points, S)
-        oracle.add(points, S)
+        points.append((0.05, 0.05, h))
+        oracle.add(np.array(points[-1:]), S)
         return oracle.cells[0, 0].mean
 
     mean = add(10.0)
     add(11.0)
     while mean < 11.05:
         mean = add(mean + 0.149)
+    m.add(points, S)  # how they are cut into calls makes no difference
     for _ in range(3):
         add(mean - drop)
+        m.add(points[-1:], S)
     assert (oracle.cells[0, 0].count == 1) == (drop > 2.0)
     check(m, oracle)

@@ -126,6 +126,7 @@ def roughmap_node(ros: Ros, home: Path, endpoint: str, **topics: list[str]) -> I
                 process.send_signal(signal.SIGINT)
                 code = stop(process)
     assert code == 0, log.read_text()
+    assert "Traceback" not in log.read_text(), log.read_text()
 
 
 def stop(process: subprocess.Popen[str]) -> int:

@@ -76,6 +76,7 @@ def test_of_a_robot_that_is_right_it_tells_the_rates(tmp_path: Path, capsys: pyt
     assert {text.split()[0] for _, text in ros} == {CLOUDS, ODOMETRY, TF, TF_STATIC}
     # The clouds are judged as those of the contract are.
     assert any("points each, in 'lidar'" in text for _, text in findings)
+    assert not any("message_seq" in text for _, text in findings), "ROS drivers can't send it"
 
 
 def test_it_names_a_topic_without_publisher_another_type_and_hash_a_qos_and_a_link_of_the_tree(
@@ -100,6 +101,17 @@ def test_it_names_a_topic_without_publisher_another_type_and_hash_a_qos_and_a_li
     assert told("/old", "hash RIHS01_111", "another version")
     assert told("/fixed", "volatile", "transient_local")
     assert told("map -> odom never came", "odom -> base")
+    for topic in ("/pionts", "/scan", "/fixed"):
+        assert len([text for text in wrong if topic in text]) == 1, wrong
+
+
+def test_a_robot_that_needs_no_transforms_needs_no_topic_of_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = ROBOT | {"tf": "/no_tf", "tf_static": "/no_tf_static"}
+    with open_listener() as (session, endpoints), driving(session):
+        findings = found(tmp_path, capsys, endpoints, robots={"rover1": robot})
+    assert [verdict for verdict, text in findings if "/no_tf" in text] == ["note", "note"]
 
 
 def test_with_no_ros_node_in_the_domain_it_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

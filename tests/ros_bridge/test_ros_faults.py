@@ -76,6 +76,7 @@ def test_a_missing_link_of_the_tree_is_told_while_it_lasts(tmp_path: Path) -> No
             stamp_ns = START_NS
             text = wait_until(lambda: told("map -> odom"), "the missing link", WAIT_S)
             assert text.startswith("robot rover1 ros2: ")
+            assert text.endswith("; start what publishes it, or correct ros2.robots")
             assert feed.client.status().health == "degraded"
             service.line('"event": "ros2_problem"')
             assert len([line for line in service.err if '"event": "ros2_problem"' in line]) <= 2

@@ -41,7 +41,7 @@ def test_a_pose_topic_is_of_the_base() -> None:
     assert got.poses[0].covariance is not None
     two = feed(pose_stamped="/pose")
     assert read(two.take("/pose", pose_stamped(T0, "map", POSE), T0)).poses[0].covariance is None
-    assert two.problems(T0) == ["/points never came", "/tf never came", "/tf_static never came"]
+    assert two.problems(T0) == ["/points never came"]
 
 
 def test_odometry_of_the_footprint_is_corrected_by_tf_and_waits_for_it() -> None:

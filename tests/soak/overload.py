@@ -164,8 +164,9 @@ def overload(folder: Path, seconds: float, say: Callable[[str], None], *, rate: 
         except TimeoutError:
             pass
         total = sent["clouds"] + sent["poses"]
-        with suppress(TimeoutError):  # what the robots sent last may be on its way
-            _wait(client, lambda now: sum(accounted(now).values()) >= total, 30.0)
+        # What the robots sent last may be on its way, and a cloud on its way from waiting to integrated counts as both.
+        with suppress(TimeoutError):
+            _wait(client, lambda now: not now.clouds.waiting and sum(accounted(now).values()) >= total, 30.0)
         final = client.status()
         there = accounted(final)
         most = max(memory) - before

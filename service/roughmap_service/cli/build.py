@@ -1,6 +1,7 @@
 """`roughmap build`: make a map.db from recordings, integrated as a service would."""
 
 import json
+import sqlite3
 import threading
 import time
 import uuid
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from roughmap_service.cli.figures import metres
-from roughmap_service.cli.options import BadUse, config_options, json_option, load
+from roughmap_service.cli.options import BadUse, Failure, config_options, json_option, load
 from roughmap_service.cli.reading import only_robot, read_options, reading_options
 from roughmap_service.host.log_lines import printable
 
@@ -87,10 +88,17 @@ def build(
     says. Poses in a frame without a way to `map.frame_id` are mapped in their own.
     """
     from roughmap_schemas.config import configuration_digest
+    from roughmap_service.exports.whole import whole
+    from roughmap_service.formats.clouds import READERS
     from roughmap_service.offline.building import Wanted, build_map
     from roughmap_service.store.map_db import Store
 
     config = load(config_path, settings).config
+    if (kind := output.suffix.lower()) in {*READERS, *EXPORTED}:
+        raise BadUse(
+            f"{output}: build makes a map.db: -o {output.with_suffix('.db')}"
+            + (f"; then `roughmap export` writes {kind} of it" if kind in EXPORTED else "")
+        )
     if output.exists() and not force:
         raise BadUse(f"{output} exists; choose another name, or use --force to replace it")
     begun = time.monotonic()
@@ -101,10 +109,19 @@ def build(
     built = _watched(stop, lambda watch: build_map(recordings, config, options, wanted, watch, stop))
     for warning in built.warnings:
         click.echo(f"roughmap: warning: {printable(warning)}", err=True)
-    for stale in (output, *(output.with_name(output.name + end) for end in ("-wal", "-shm"))):
-        stale.unlink(missing_ok=True)
+    if not (built.map.tile_count or built.warnings or built.interrupted):
+        click.echo("roughmap: warning: the map is empty: nothing of what was read could be integrated", err=True)
     settled = built.config
-    Store(output).write_map(built.map, settled.public_dict(), configuration_digest(settled), uuid.uuid4().hex, crs)
+    try:
+        output.absolute().parent.mkdir(parents=True, exist_ok=True)
+        with whole(output) as file:
+            Store(file).write_map(
+                built.map, settled.public_dict(), configuration_digest(settled), uuid.uuid4().hex, crs
+            )
+            for end in ("-wal", "-shm"):  # of the map.db that is replaced
+                output.with_name(output.name + end).unlink(missing_ok=True)
+    except (OSError, sqlite3.Error) as error:
+        raise Failure(f"{output}: {getattr(error, 'strerror', None) or error}; it was not written") from None
     extent = built.map.extent()
     report = {
         "output": str(output),
@@ -129,6 +146,10 @@ def build(
     if built.interrupted:
         click.echo(f"roughmap: interrupted; {output} holds what was read until then", err=True)
         click.get_current_context().exit(130)
+
+
+EXPORTED = frozenset({".tif", ".tiff", ".asc", ".png", ".yaml", ".npz", ".ply", ".pcd", ".las", ".laz"})
+"""Suffixes of what `roughmap export` writes, and no map.db has."""
 
 
 def _crs(recordings: tuple[Path, ...]) -> str | None:

@@ -1,9 +1,11 @@
 """`roughmap export`: write the map for other tools: GIS, point cloud viewers, Nav2, RViz."""
 
 import json
+import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +24,7 @@ from roughmap_service.cli.options import (
 
 if TYPE_CHECKING:
     import zenoh
+    from rich.progress import Progress
 
     from roughmap_service.exports.sheet import Sheet
 
@@ -85,37 +88,41 @@ def export(
     from roughmap_schemas.layers import LAYERS
     from roughmap_service.cli.connection import client_config
     from roughmap_service.exports.files import formats
+    from roughmap_service.exports.whole import whole
 
     known = formats(threshold)
     suffix = output.suffix.lower()
     if suffix not in known:
         raise BadUse(f"{output}: unknown format {suffix!r} (allowed: {', '.join(filter(None, known))}, or no suffix)")
-    if output.exists() and not force:
-        raise BadUse(f"{output} exists; choose another name, or use --force to replace it")
+    for place in (output, *(output.with_suffix(end) for end in known[suffix].beside)):
+        if place.exists() and not force:
+            raise BadUse(f"{place} exists; choose another name, or use --force to replace it")
+    if output.is_dir() and (suffix or not (output / "metadata.yaml").is_file()):
+        raise BadUse(f"{output} is a folder and not a bag, so it is not replaced; choose another name")
     if not output.absolute().parent.is_dir():
         raise BadUse(f"{output}: there is no folder {output.parent}")
     names = known[suffix].layers if layers is None else tuple(name.strip() for name in layers.split(","))
     for name in names:
         if name not in LAYERS:
             raise BadUse(f"unknown layer {name!r} (allowed: {', '.join(LAYERS)})")
+    known[suffix].check(names)
+    if crs is not None and not CRS_FORM.match(crs):
+        raise BadUse(f"--crs {crs}: expected EPSG:CODE, such as EPSG:32633, or the WKT of a .prj file")
     if sources and connect:
         raise BadUse("name a map.db or a log, or --connect to a service, not both")
     begun = time.monotonic()
-    with _progress() as watch:
+    with _progress() as progress:
         if sources:
-            opened = _from_files(list(sources), (names, level, bbox, crs), watch)
+            opened = _from_files(list(sources), (names, level, bbox, crs))
         else:
             session = client_config(loaded := load(config_path, settings), connect, zenoh_file)
             opened = _from_service(session, loaded.config.map.name, loaded.config.keys, (names, level, bbox, crs))
         with opened as sheet:
             try:
-                known[suffix].write(sheet, output)
-            except BaseException as error:
-                if output.is_file():  # half of a map must not pass for one
-                    output.unlink()
-                if isinstance(error, OSError):
-                    raise Failure(f"{output}: {error.strerror or error}") from None
-                raise
+                with whole(output) as file:
+                    known[suffix].write(replace(sheet, watch=progress.tiles, stage=progress.stage), file)
+            except OSError as error:
+                raise Failure(f"{output}: {error.strerror or error}; it was not written") from None
     rows, columns = sheet.shape
     report: dict[str, Any] = {
         "output": str(output), "layers": list(sheet.layers), "cells": [columns, rows], "cell_size": sheet.cell_size,
@@ -135,12 +142,12 @@ Wanted = tuple[tuple[str, ...], int, tuple[float, float, float, float] | None, s
 
 
 @contextmanager
-def _from_files(sources: list[Path], wanted: Wanted, watch: Callable[[int, int], None]) -> "Iterator[Sheet]":
+def _from_files(sources: list[Path], wanted: Wanted) -> "Iterator[Sheet]":
     from roughmap_service.offline.opened_map import open_map, sheet_of
 
     with open_map(sources) as opened:
         try:
-            with sheet_of(opened, *wanted, watch) as sheet:
+            with sheet_of(opened, *wanted) as sheet:
                 yield sheet
         except ValueError as error:  # a layer that a map of this surface does not have
             raise BadUse(str(error)) from None
@@ -157,7 +164,7 @@ def _from_service(session: "zenoh.Config", name: str, keys: dict[str, str], want
             sheet, served = served_sheet(client, *wanted)
             yield sheet
     except NoAnswer as error:
-        hint = f"is `roughmap serve` up there, with the map {name!r}? (--connect, --set map.name=...)"
+        hint = f"is `roughmap serve` up there, with the map {name!r}? (--connect, --set map.name=..., or name a map.db)"
         raise Failure(f"{error}; {hint}{if_guarded(session)}") from error
     except QueryRefused as error:
         raise Failure(f"the service refused: {error}") from error
@@ -167,18 +174,36 @@ def _from_service(session: "zenoh.Config", name: str, keys: dict[str, str], want
         )
 
 
+CRS_FORM = re.compile(r"EPSG:\d{4,6}$|\s*[A-Z_]+\s*\[", re.IGNORECASE)
+"""A code, or the beginning of WKT."""
+
 TIMEOUT_S = 30.0
 """How long to wait for each answer of a service."""
 
 
+class _Shown:
+    """A line on stderr with what is done now, the tiles written and the time left; it takes what a sheet tells."""
+
+    def __init__(self, bar: "Progress") -> None:
+        self._bar = bar
+        self._task = bar.add_task("opening", total=None)
+
+    def tiles(self, done: int, total: int) -> None:
+        self._bar.update(self._task, completed=done, total=total, description="writing tiles")
+
+    def stage(self, name: str) -> None:
+        """Show a stage of unknown length."""
+        self._bar.remove_task(self._task)
+        self._task = self._bar.add_task(name, total=None)
+        self._bar.refresh()
+
+
 @contextmanager
-def _progress() -> Iterator[Callable[[int, int], None]]:
-    """Show the tiles written, their rate and the time left on stderr."""
+def _progress() -> "Iterator[_Shown]":
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
-    columns = (TextColumn("exporting"), BarColumn(), MofNCompleteColumn(), TextColumn("tiles"), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("exporting", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        yield _Shown(bar)

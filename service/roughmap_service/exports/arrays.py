@@ -40,7 +40,8 @@ def write_arrays(sheet: Sheet, file: Path) -> None:
             for band in sheet.bands(upward=True):
                 for number, layer in enumerate(files):
                     layer.write(band[:, :, number].tobytes())
-        for path in waiting:
+        for number, path in enumerate(waiting, 1):
+            sheet.stage(f"packing layer {number} of {len(waiting)}")
             with archive.open(f"{path.name}.npy", "w", force_zip64=True) as entry, path.open("rb") as raw:
                 npy.write_array_header_1_0(entry, {"descr": "<f4", "fortran_order": False, "shape": sheet.shape})
                 shutil.copyfileobj(raw, entry, 1 << 20)

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import rasterio
 from affine import Affine
+from rasterio._err import CPLE_BaseError
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp
-from rasterio.errors import CRSError
+from rasterio.errors import CRSError, RasterioError
 from rasterio.shutil import copy
 from rasterio.windows import Window
 
@@ -24,14 +25,22 @@ BLOCK = 512
 
 
 def write_geotiff(sheet: Sheet, file: Path) -> None:
-    """Write all layers. Unknown ground is NaN, which is the file's no-data value.
+    """Write all layers. Unknown ground is NaN, which is the file's no-data value. OSError, ExportFault."""
+    try:
+        _write(sheet, file)
+    except (CPLE_BaseError, RasterioError) as error:
+        raise OSError(f"GDAL can't write it ({error}); is the disk full?") from None
+
+
+def _write(sheet: Sheet, file: Path) -> None:
+    """Write a file and its style.
 
     A sparse file comes first, beside the result: empty blocks take no room, so a map of two distant places does not
     either.
     """
     rows, columns = sheet.shape
     if max(rows, columns) > MAX_SIDE:
-        raise ExportFault(f"{file}: {columns} x {rows} cells are too many for GeoTIFF: choose a part with --bbox")
+        raise ExportFault(f"{file.name}: {columns} x {rows} cells are too many for GeoTIFF: choose a part with --bbox")
     profile = {
         "driver": "GTiff", "width": columns, "height": rows, "count": len(sheet.layers), "dtype": "float32",
         "nodata": np.nan, "tiled": True, "blockxsize": BLOCK, "blockysize": BLOCK, "compress": "zstd",
@@ -55,6 +64,7 @@ def write_geotiff(sheet: Sheet, file: Path) -> None:
                 height, width = part.values.shape[:2]
                 window = Window(part.i, rows - part.j - height, width, height)
                 written.write(np.moveaxis(part.values[::-1], 2, 0), window=window)
+        sheet.stage("adding overviews")
         copy(sparse, file, driver="COG", compress="deflate", blocksize=BLOCK, sparse_ok=True,
              resampling="average", bigtiff="if_safer")  # fmt: skip
     if low <= high:

@@ -1,6 +1,5 @@
 """A rosbag2 with one grid_map_msgs/GridMap: RViz's grid_map plugin and `ros2 bag play` show it."""
 
-import shutil
 from pathlib import Path
 from typing import Final
 
@@ -31,13 +30,9 @@ def write_grid_map(sheet: Sheet, folder: Path) -> None:
         at += len(band)
     layers = {name: values[:, :, number] for number, name in enumerate(sheet.layers)}
     cdr = grid_map_cdr(layers, sheet.low, sheet.cell_size, sheet.stamp_ns, sheet.frame_id, sheet.layers[:1])
-    if folder.exists():
-        if not (folder / "metadata.yaml").is_file():
-            raise ExportFault(f"{folder} is not a bag, so it is not replaced; choose another name")
-        shutil.rmtree(folder)
     try:
         with Writer(folder, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as bag:
             connection = bag.add_connection(TOPIC, GRID_MAP, typestore=TYPES)
             bag.write(connection, sheet.stamp_ns, cdr)
     except WriterError as error:
-        raise ExportFault(f"{folder}: {error}") from None
+        raise ExportFault(f"{folder.name}: {error}") from None

@@ -5,7 +5,8 @@ from pathlib import Path
 import laspy
 import numpy as np
 
-from roughmap_service.exports.points import cell_points, check_height
+from roughmap_service.exports.layer_rules import height_first
+from roughmap_service.exports.points import cell_points
 from roughmap_service.exports.sheet import Sheet
 from roughmap_service.exports.wkt import LAS, as_wkt
 from roughmap_service.formats.pictures import STYLES
@@ -21,7 +22,7 @@ RETURN_NUMBERS = 1
 
 def write_las(sheet: Sheet, file: Path) -> None:
     """Write LAS 1.4 (LAZ by the suffix): coordinates in steps of 0.1 mm about an offset, layers as float32."""
-    check_height(sheet, file)
+    height_first(sheet.layers)
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales = [SCALE] * 3
     header.offsets = [np.floor((low + high) / 2) for low, high in zip(sheet.low, sheet.high, strict=True)] + [0.0]

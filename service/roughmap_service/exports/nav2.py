@@ -5,7 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from roughmap_service.exports.sheet import ExportFault, Sheet
+from roughmap_service.exports.layer_rules import passable_alone
+from roughmap_service.exports.sheet import Sheet
 
 FREE: Final = 254
 OCCUPIED: Final = 0
@@ -21,8 +22,7 @@ MAX_CELLS: Final = 400_000_000
 
 def write_nav2(sheet: Sheet, file: Path, threshold: float) -> None:
     """Write FILE.yaml and FILE.pgm: cells of at least ``threshold`` traversability are free, the others occupied."""
-    if sheet.layers != ("traversability",):
-        raise ExportFault(f"{file}: a map for Nav2 shows traversability alone; leave out --layers")
+    passable_alone(sheet.layers)
     sheet.check_cells(MAX_CELLS, "a map for Nav2")
     picture = file.with_suffix(".pgm")
     rows, columns = sheet.shape

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from roughmap_service.exports.points import COUNT_DIGITS, cell_points, check_height, local_origin
+from roughmap_service.exports.layer_rules import height_first
+from roughmap_service.exports.points import COUNT_DIGITS, cell_points, local_origin
 from roughmap_service.exports.sheet import Sheet
 
 
@@ -14,7 +15,7 @@ def write_pcd(sheet: Sheet, file: Path) -> None:
     Far from zero, as in UTM coordinates, float32 would lose half a metre. There x and y are about an origin, which is
     the VIEWPOINT of the header: what reads the file and heeds that has map coordinates again.
     """
-    check_height(sheet, file)
+    height_first(sheet.layers)
     fields = ["x", "y", "z", *sheet.layers[1:]]
     x, y = local_origin(sheet)
     once = " ".join("1" for _ in fields)

@@ -8,8 +8,11 @@ from matplotlib import colormaps
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
+from roughmap_service.exports.layer_rules import only_layer
 from roughmap_service.exports.sheet import Sheet
 from roughmap_service.formats.pictures import FIXED_SPAN, LOGARITHMIC, STYLES
+
+PICTURE = "a PNG"
 
 MAX_CELLS = 400_000_000
 """A byte each."""
@@ -27,8 +30,8 @@ def write_picture(sheet: Sheet, file: Path) -> None:
     The colours range from the 1st to the 99th percentile of the layer; the file's text has that range. The world file
     beside it (.pgw) has the size of a pixel and the centre of the upper left one.
     """
-    name = sheet.the_layer("a PNG")
-    sheet.check_cells(MAX_CELLS, "a PNG")
+    name = only_layer(sheet.layers, PICTURE)
+    sheet.check_cells(MAX_CELLS, PICTURE)
     low, high = _span(sheet, name)
     scale = 254.0 / (high - low)
     rows, columns = sheet.shape

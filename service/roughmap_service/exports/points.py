@@ -1,15 +1,12 @@
 """The known cells as points: centres of cells at their mean height, with the layers as numbers."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from roughmap_service.exports.sheet import ExportFault, Sheet
-
-HEIGHT = "mean_height"
+from roughmap_service.exports.sheet import Sheet
 
 COUNT_DIGITS = 12
 """The number of points is known at the end, and headers have room for so many digits."""
@@ -23,12 +20,6 @@ class CellPoints(NamedTuple):
 
     places: npt.NDArray[np.float64]
     values: npt.NDArray[np.float32]
-
-
-def check_height(sheet: Sheet, file: Path) -> None:
-    """Raise ExportFault unless mean_height comes first."""
-    if sheet.layers[0] != HEIGHT:
-        raise ExportFault(f"{file}: points need a height: --layers {HEIGHT},{','.join(sheet.layers)}")
 
 
 def cell_points(sheet: Sheet) -> Iterator[CellPoints]:

@@ -51,6 +51,7 @@ class Sheet:
         crs: coordinate reference system of x and y, as WKT or "EPSG:..."; None if not known.
         title: names the map and its state.
         watch: called with the number of tiles drawn so far, and with how many there are.
+        stage: called with the name of what follows after the tiles were drawn.
     """
 
     layers: tuple[str, ...]
@@ -63,6 +64,7 @@ class Sheet:
     crs: str | None = None
     title: str = ""
     watch: Callable[[int, int], None] = field(default=lambda *_: None)
+    stage: Callable[[str], None] = field(default=lambda _: None)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -143,9 +145,3 @@ class Sheet:
                 f"{what} of {columns} x {rows} cells has more than {most:,}: choose a part with --bbox, or a coarser "
                 "--level"
             )
-
-    def the_layer(self, what: str) -> str:
-        """Return the only layer; ExportFault if there are several."""
-        if len(self.layers) != 1:
-            raise ExportFault(f"{what} holds one layer; choose it with --layers, one of {', '.join(self.layers)}")
-        return self.layers[0]

@@ -17,6 +17,7 @@ def as_wkt(crs: str, form: str, what: str) -> str:
     if not crs.upper().startswith("EPSG:"):
         return crs
     try:
+        from rasterio import Env  # noqa: PLC0415 - of an extra
         from rasterio.crs import CRS  # noqa: PLC0415 - of an extra
         from rasterio.errors import CRSError  # noqa: PLC0415
     except ImportError:
@@ -24,6 +25,7 @@ def as_wkt(crs: str, form: str, what: str) -> str:
             f"{what} names {crs} by its WKT, which takes rasterio: pip install 'roughmap[geo]', or --crs WKT"
         ) from None
     try:
-        return str(CRS.from_user_input(crs).to_wkt(version=form))
+        with Env():  # keeps GDAL from writing to stderr by itself
+            return str(CRS.from_user_input(crs).to_wkt(version=form))
     except CRSError as error:
         raise ExportFault(f"coordinate reference system {crs!r}: {error}") from None

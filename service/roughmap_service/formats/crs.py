@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from roughmap_service.formats.las_header import MAX_CRS_BYTES, read_header
+from roughmap_service.formats.las_header import MAX_CRS_BYTES, read_header, unit_of
 from roughmap_service.formats.recorded import CloudFileFault
 
 
@@ -22,4 +22,7 @@ def crs_of(path: Path) -> str | None:
         text = stream.read(MAX_CRS_BYTES + 1)
     if len(text) > MAX_CRS_BYTES or b"\0" in text:
         raise CloudFileFault(f"{beside}: expected the WKT of a coordinate reference system, found something else")
-    return text.decode("utf-8", "replace").strip() or None
+    wkt = text.decode("utf-8", "replace").strip()
+    if unit := unit_of(wkt):
+        raise CloudFileFault(f"{beside}: the coordinate reference system is in {unit}; the map takes metres: reproject")
+    return wkt or None

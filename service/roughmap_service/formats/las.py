@@ -52,10 +52,11 @@ def read_las(file: Path, options: ReadOptions) -> Iterator[PlacedPoints]:
     """Yield the points of a file in parts. Raises CloudFileFault and OSError."""
     with file.open("rb") as stream:
         header = read_header(file, stream)
-        if header.in_feet:
+        if header.not_metres:
             raise CloudFileFault(
-                f"{file}: its coordinate reference system is in feet; the map takes metres: reproject it, for example "
-                "with `pdal translate IN.las OUT.las reprojection --filters.reprojection.out_srs=EPSG:CODE`"
+                f"{file}: its coordinate reference system is in {header.not_metres}; the map takes metres: reproject "
+                "it, for example with `pdal translate IN.las OUT.las reprojection "
+                "--filters.reprojection.out_srs=EPSG:CODE`"
             )
         if options.scan_seconds is None:
             for points, _ in _kept(_records(file, stream, header, options, 0.0, 1.0), header, options):

@@ -26,11 +26,17 @@ MAX_RECORDS = 10_000
 MAX_CRS_BYTES = 1 << 16
 
 FEET = re.compile(r'UNIT\s*\[\s*"[^"]*(?:\bfoot|\bfeet|\bft|_foot|_feet)\b', re.IGNORECASE)
+DEGREES = re.compile(
+    r'\s*(?:COMPD_?CS|COMPOUNDCRS)?(?:\s*\[\s*"[^"]*"\s*,)?\s*(?:GEOGCS|GEOGCRS|GEODCRS)\b', re.IGNORECASE
+)
+GEOGRAPHIC = 2
+"""GTModelTypeGeoKey of longitude and latitude."""
+
 FEET_KEYS = frozenset(range(9002, 9007)) | {9041}
 
 
 class LasHeader(NamedTuple):
-    """What a header says; `crs` is WKT, or EPSG:n, or None, and `in_feet` whether that has lengths in feet."""
+    """What a header says; `crs` is WKT, or EPSG:n, or None; `not_metres` is feet or degrees if it has those."""
 
     point_format: int
     compressed: bool
@@ -42,7 +48,7 @@ class LasHeader(NamedTuple):
     adjusted_time: bool
     laszip: bytes
     crs: str | None
-    in_feet: bool
+    not_metres: str | None
 
 
 def read_header(file: Path, stream: BinaryIO) -> LasHeader:
@@ -84,10 +90,10 @@ def read_header(file: Path, stream: BinaryIO) -> LasHeader:
         )
         if len(data) <= MAX_CRS_BYTES
     }
-    crs, in_feet = _crs(kept, wkt=bool(encoding & WKT))
+    crs, not_metres = _crs(kept, wkt=bool(encoding & WKT))
     return LasHeader(
         form, compressed, record_bytes, points, begin, place[:3], place[3:], bool(encoding & ADJUSTED_TIME),
-        kept.get((LASZIP, 22204), b""), crs, in_feet,
+        kept.get((LASZIP, 22204), b""), crs, not_metres,
     )  # fmt: skip
 
 
@@ -105,19 +111,22 @@ def _records(stream: BinaryIO, begin: int, count: int, end: int, form: str) -> I
         begin += length
 
 
-def _crs(records: dict[tuple[bytes, int], bytes], *, wkt: bool) -> tuple[str | None, bool]:
-    """Return the coordinate reference system, and whether it has feet."""
+def _crs(records: dict[tuple[bytes, int], bytes], *, wkt: bool) -> tuple[str | None, str | None]:
+    """Return the coordinate reference system, and its unit if that is not the metre."""
     text = records.get((PROJECTION, 2112), b"").split(b"\0")[0].decode("utf-8", "replace").strip()
     keys = records.get((PROJECTION, 34735), b"")
     if text and (wkt or not keys):
-        return text, in_feet(text)
+        return text, unit_of(text)
     table = list(struct.iter_unpack("<4H", keys[: len(keys) // 8 * 8]))[1:]
     values = {key: value for key, location, _, value in table if location == 0}
     code = values.get(3072) or (values.get(2048) if values.get(1024) == 2 else None)
     known = code is not None and 1024 <= code < 32767
-    return f"EPSG:{code}" if known else None, bool({values.get(3076), values.get(4099)} & FEET_KEYS)
+    unit = "feet" if {values.get(3076), values.get(4099)} & FEET_KEYS else None
+    return f"EPSG:{code}" if known else None, "degrees" if values.get(1024) == GEOGRAPHIC and known else unit
 
 
-def in_feet(wkt: str) -> bool:
-    """Return whether a coordinate reference system has lengths in feet."""
-    return FEET.search(wkt) is not None
+def unit_of(wkt: str) -> str | None:
+    """Return feet or degrees if a coordinate reference system has x and y, or any length, in those."""
+    if FEET.search(wkt) is not None:
+        return "feet"
+    return "degrees" if DEGREES.match(wkt) else None

@@ -96,6 +96,10 @@ CLOUD_REMEDIES: Final = {
 }
 """A cloud's reasons but `overload`, which is a problem of the service."""
 
+NO_POSE_OF_ROS: Final = (
+    "`roughmap doctor` names the ROS topic or transform that is missing; raise input.max_wait if poses come later"
+)
+
 POINT_REMEDIES: Final = {
     "not_finite": "check its driver: x, y and z of its points are NaN or infinite",
     "no_return": "check that its window is clean and free, and that it sees more than the sky",
@@ -177,7 +181,10 @@ def sentence(
 ) -> str:
     """Return what is told of a stream that was lost for ``cause``; ``last`` are its last messages."""
     words = _words(config, subject)
-    remedy = figures.remedy or REMEDIES[cause.kind][cause.reason].format_map(words)
+    remedies = REMEDIES[cause.kind]
+    if cause.kind == "cloud" and subject.robot in config.ros2.robots:
+        remedies = {**remedies, "no_pose": NO_POSE_OF_ROS}
+    remedy = figures.remedy or remedies[cause.reason].format_map(words)
     if cause.kind == "point":
         text = f"{subject}: {_points_lost(last, cause)}"
     else:

@@ -1,7 +1,7 @@
 """A map.db or a log, opened as a map that is only read."""
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -14,12 +14,16 @@ from roughmap_service.exports.cut import Bbox, cells_of, tiles_in
 from roughmap_service.exports.sheet import ExportFault, Sheet
 from roughmap_service.offline.replay import Watch, replay
 from roughmap_service.run.settings import new_map
-from roughmap_service.store.map_db import Store
+from roughmap_service.store.map_db import OtherStateVersion, Store
 from roughmap_service.store.spill import Spill
 from roughmap_service.store.stored_tiles import StoredTiles, set_index
 
 NO_SPILL = 1 << 30
 """Bytes of a spill file that stays empty: a map that is only read moves no tiles there."""
+
+
+SQLITE, MCAP = b"SQLite format 3\0", b"\x89MCAP"
+"""How a store and a log begin."""
 
 
 class OpenedMap(NamedTuple):
@@ -37,6 +41,8 @@ def open_map(paths: list[Path], watch: Watch | None = None) -> Iterator[OpenedMa
 
     StoreError, LogError, ReplayError; ExportFault for an empty store or a log that does not replay to the same map.
     """
+    for path in paths:
+        _check(path, alone=len(paths) == 1)
     if len(paths) == 1 and paths[0].is_file() and paths[0].suffix != ".mcap":
         with _stored(paths[0]) as opened:
             yield opened
@@ -48,10 +54,29 @@ def open_map(paths: list[Path], watch: Watch | None = None) -> Iterator[OpenedMa
         yield OpenedMap(built, done.config, None, f"{done.config.map.name}, sequence {built.sequence}")
 
 
+def _check(path: Path, *, alone: bool) -> None:
+    """Raise ExportFault for what is neither a store nor a log: most likely a recording of which no map was made."""
+    if path.is_dir():
+        map_less = (path / "metadata.yaml").exists() or not any(path.glob("*.mcap"))
+        found = "a folder without roughmap's logs"
+    else:
+        with path.open("rb") as stream:
+            head = stream.read(len(SQLITE))
+        map_less = head[: len(MCAP)] != MCAP and head not in (SQLITE, b"")
+        found = "neither a map.db nor a log"
+        if not alone and not map_less and head[: len(MCAP)] != MCAP:
+            raise ExportFault(f"{path}: expected the logs (*.mcap) of one run, or one map.db alone")
+    if map_less:
+        raise ExportFault(f"{path}: {found}; make a map of a recording first: roughmap build {path} -o map.db")
+
+
 @contextmanager
 def _stored(path: Path) -> Iterator[OpenedMap]:
     store = Store(path)
-    cut = store.read_cut()
+    try:
+        cut = store.read_cut()
+    except OtherStateVersion as error:
+        raise ExportFault(f"{error}; export the logs of its run, or build it again from its recordings") from None
     if cut is None:
         raise ExportFault(f"{path}: nothing was stored yet")
     config = Config.from_log(cut.configuration)
@@ -70,7 +95,6 @@ def sheet_of(
     level: int,
     bbox: Bbox | None,
     crs: str | None,
-    watch: Callable[[int, int], None],
 ) -> Iterator[Sheet]:
     """Give the sheet of a level of the map; ExportFault if there is nothing in the box, or no such level."""
     config = opened.config.map
@@ -85,5 +109,5 @@ def sheet_of(
         yield Sheet(
             layers, cells, frozen.cell_size, chosen,
             lambda x, y: frozen.packed_layers(x, y, layers, config.height_tolerance, config.limits),
-            config.frame_id, stamp, crs or opened.crs, opened.title, watch,
+            config.frame_id, stamp, crs or opened.crs, opened.title,
         )  # fmt: skip

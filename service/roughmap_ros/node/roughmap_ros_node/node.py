@@ -324,7 +324,11 @@ def spin(node):
     executor.add_node(node)
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         while rclpy.ok():
-            executor.spin_once(timeout_sec=SPIN_S)
+            try:
+                executor.spin_once(timeout_sec=SPIN_S)
+            except RuntimeError:
+                if rclpy.ok():  # otherwise ROS has shut down since it was asked
+                    raise
 
 
 def main():

@@ -153,8 +153,8 @@ def _peers(loaded: "LoadedConfig") -> list[Finding]:
     return findings
 
 
-def _meanwhile(beside: Beside) -> "tuple[list[Finding], MapStatus | None]":
-    """Ask the running service once more: what it made of the messages, and what it calls a problem."""
+def _meanwhile(beside: Beside, told: set[str]) -> "tuple[list[Finding], MapStatus | None]":
+    """Ask the running service once more: what it made of the messages, and what it calls a problem but those told."""
     from roughmap_client.errors import RoughMapError
     from roughmap_service.cli.doctor.service import judge_service
 
@@ -164,7 +164,7 @@ def _meanwhile(beside: Beside) -> "tuple[list[Finding], MapStatus | None]":
         after = beside.client.status()
     except RoughMapError as error:
         return [Finding("service", "wrong", f"the service no longer answers: {error}", "look at its log lines")], None
-    return judge_service(beside.status, after), after
+    return judge_service(beside.status, after, told), after
 
 
 def _traffic(beside: Beside, session: "zenoh.Session", loaded: "LoadedConfig", seconds: float) -> list[Finding]:
@@ -185,7 +185,7 @@ def _traffic(beside: Beside, session: "zenoh.Session", loaded: "LoadedConfig", s
         traffic.listen(session, Keys(config.map.name, config.keys), seconds)
         on_topics = [] if ears is None else ears.judge()
     stepped = (time.time() - wall) - (time.monotonic() - monotonic)
-    said, after = _meanwhile(beside)
+    said, after = _meanwhile(beside, set() if ears is None else ears.told)
     findings = on_topics + judge(traffic, config, seconds, mounted=knows_mountings(beside.status, after))
     if abs(stepped) > 0.1:  # slewing stays far below a millisecond a second
         text = f"this machine's clock jumped by {stepped:+.2f} s while doctor listened"

@@ -45,12 +45,12 @@ def judge(traffic: Traffic, config: Config, seconds: float, *, mounted: bool = F
         findings.append(Finding("robots", "note", text, "check that they are on"))
     frames = {frame for robot in robots.values() for frame in robot.sensors}
     unheard = sorted(set(config.sensors) - frames)
-    if not robots:
+    if not robots and not config.ros2.robots:  # of their topics, ros2 tells
         keys = config.keys["points"].replace("{robot}", "*")
         remedy = "start the robots; they must connect to this service's zenoh.listen, or it to them (zenoh.connect)"
         text = f"no messages on {keys} or its sibling keys within {seconds:g} s"
         findings.append(Finding("robots", "wrong", text, remedy))
-    elif unheard:
+    elif robots and unheard:
         text = f"no cloud of sensor {', '.join(unheard)} within {seconds:g} s"
         findings.append(Finding("sensors", "note", text, "check that it is on and that its clouds have this frame_id"))
     if traffic.missed:
@@ -77,12 +77,14 @@ def _robot(name: str, robots: dict[str, Robot], config: Config, ended_ns: int, *
         findings += judge_covariances(name, heard, _ranges(robot), config)
     elif robot.sensors and not placed_only:
         remedy = f"publish the localisation's poses on {config.keys['odometry'].replace('{robot}', name)}"
+        if name in config.ros2.robots:
+            remedy = "its poses are made of ROS topics: see ros2 above"
         findings.append(Finding(name, "wrong", "no odometry: its clouds can't be placed", remedy))
     for frame in sorted(robot.sensors):
         findings += _sensor(name, frame, robots, odometry, config, ended_ns, mounted=mounted)
     if odometry.rising or robot.sensors:
         findings += judge_machine_clock(name, odometry.rising)
-    findings += _numbers(name, robot)
+    findings += _numbers(name, robot, numbered=name not in config.ros2.robots)
     return findings
 
 
@@ -198,8 +200,8 @@ def _rates(robot: str, frame: str, clouds: Sequence[Heard], poses: Sequence[Hear
     return [Finding(robot, "note", text, "publish poses more often: between two poses, a straight motion is assumed")]
 
 
-def _numbers(name: str, robot: Robot) -> list[Finding]:
-    """Judge messages that were lost on the way, and pauses."""
+def _numbers(name: str, robot: Robot, *, numbered: bool) -> list[Finding]:
+    """Judge messages that were lost on the way, and pauses; ``numbered``: its publisher can number its messages."""
     findings = []
     for kind, what in ((Kind.POINTS, "clouds"), (Kind.ODOMETRY, "poses")):
         tally = robot.tallies[kind]
@@ -210,7 +212,7 @@ def _numbers(name: str, robot: Robot) -> list[Finding]:
             remedy = "publish with CongestionControl.BLOCK, or with less data than the link carries"
             findings.append(Finding(name, verdict, text, remedy))
     clouds = robot.tallies[Kind.POINTS]
-    if clouds.number and clouds.unnumbered == clouds.number:
+    if numbered and clouds.number and clouds.unnumbered == clouds.number:
         text = "clouds have no message_seq (8-byte attachment): lost clouds can't be counted"
         remedy = "attach a number that rises by one, 8 bytes little-endian; this is optional"
         findings.append(Finding(name, "note", text, remedy))

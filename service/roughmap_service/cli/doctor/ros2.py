@@ -10,12 +10,12 @@ from typing import Self
 
 import zenoh
 
-from roughmap_ros.bridge import Bridge, robot_feeds, ros_node
+from roughmap_ros.bridge import ABSENT, Bridge, robot_feeds, ros_node
 from roughmap_ros.key_sink import ENCODINGS
 from roughmap_ros.wire import Received
 from roughmap_schemas import Config
 from roughmap_schemas.kinds import Kind, RobotMessage
-from roughmap_service.cli.doctor.findings import Finding
+from roughmap_service.cli.doctor.findings import Finding, Verdict
 from roughmap_service.cli.doctor.traffic import Message
 from roughmap_service.inputs.ros2_checks import standing
 
@@ -32,6 +32,9 @@ class Ros2Ears:
     """Listens to the robots' topics as the service does; a context manager.
 
     ``take`` gets the robots' messages as they would go into the service.
+
+    Attributes:
+        told: the subjects of problems on which there are findings, named as in the service's status.
     """
 
     def __init__(self, session: zenoh.Session, config: Config, take: Callable[[Message], None]) -> None:
@@ -43,6 +46,7 @@ class Ros2Ears:
         self._first: dict[str, str] = {}
         self._numbers: dict[str, tuple[int | None, str]] = {}
         self._faults: Counter[str] = Counter()
+        self.told: set[str] = set()
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -64,17 +68,22 @@ class Ros2Ears:
     def judge(self) -> list[Finding]:
         """Return what was found; call it before the end."""
         config, lines = self._config, self._node.mismatches()
-        told = self._bridge.problems()
+        self.told = set(self._bridge.problems())
         findings = [Finding(AREA, "wrong", line, FITTING) for line in lines]
         if config.ros2.keys == "rmw_zenoh" and config.ros2.robots and not self._node.seen():
             text = f"no ROS node is seen in domain {config.ros2.domain}"
             findings.append(Finding(AREA, "wrong", text, NO_NODE))
         else:
             unpublished = self._node.unpublished()
-            findings += [Finding(AREA, "wrong", line, PUBLISHING) for line in unpublished]
+            findings += [Finding(AREA, self._absent(line.partition(":")[0]), line, PUBLISHING) for line in unpublished]
             findings += self._topics({line.partition(":")[0] for line in (*lines, *unpublished)})
         findings += [
-            Finding(AREA, "wrong", text, TREE) for subject, text in told.items() if subject.startswith("robot ")
+            Finding(
+                AREA, "wrong", f"robot {robot}: {sentence}", TREE if any(map(sentence.__contains__, ABSENT)) else ""
+            )
+            for robot, sentences in self._bridge.of_robots().items()
+            for sentence in sentences
+            if not (sentence.endswith(" never came") or sentence.startswith("nothing came on "))  # told of each topic
         ]
         with self._lock:
             faults = self._faults.most_common(MAX_FAULTS)
@@ -98,8 +107,13 @@ class Ros2Ears:
             elif topic not in judged:
                 bridged = self._config.ros2.keys == "ros2dds"
                 text = f"nothing came on {topic}" + ("" if bridged else ", though a node publishes it")
-                findings.append(Finding(AREA, "wrong", text, BRIDGED if bridged else SENDING))
+                findings.append(Finding(AREA, self._absent(topic), text, BRIDGED if bridged else SENDING))
         return findings
+
+    def _absent(self, topic: str) -> Verdict:
+        """Judge that nothing came on a topic: of transforms, those that are needed are told by themselves."""
+        types = {feed.wanted().get(topic) for feed in self._feeds.values()}
+        return "note" if types <= {None, "tf2_msgs/msg/TFMessage"} else "wrong"
 
     def _hear(self, robot: str, _kind: Kind, topic: str, received: Received) -> None:
         with self._lock:
@@ -125,6 +139,9 @@ NO_NODE = (
 )
 PUBLISHING = "start its driver, or correct the topic in ros2.robots"
 SENDING = "look whether its node is alive: `ros2 topic hz`"
-BRIDGED = "start zenoh-bridge-ros2dds or roughmap's node beside the robot, and let it pass this topic"
+BRIDGED = (
+    "start roughmap's node or zenoh-bridge-ros2dds beside the robot, and let it pass this topic; the node's log says "
+    "whether nobody publishes it, or which other type it has"
+)
 TREE = "start what publishes this transform, or correct the frames in ros2.robots"
 """What to do."""

@@ -1,6 +1,6 @@
 """Judges what a running service made of the robots' messages while doctor listened."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from roughmap_schemas.messages import MapStatus
@@ -14,9 +14,13 @@ ENOUGH = 5
 """Clouds or poses that must have been decided meanwhile."""
 
 
-def judge_service(before: MapStatus, after: MapStatus) -> list[Finding]:
-    """Compare two statuses of one service; the later one also names its problems, and what happened lately."""
-    findings = [Finding("service", "wrong", sentence) for _, sentence in sorted(after.problems.items())]
+def judge_service(before: MapStatus, after: MapStatus, told: Collection[str] = ()) -> list[Finding]:
+    """Compare two statuses of one service; the later one also names its problems, and what happened lately.
+
+    ``told``: subjects of problems on which there are findings already.
+    """
+    problems = {subject: sentence for subject, sentence in after.problems.items() if subject not in told}
+    findings = [Finding("service", "wrong", sentence) for _, sentence in sorted(problems.items())]
     findings += [Finding("service", "note", f"recently: {sentence}") for sentence in after.recent]
     if before.instance != after.instance:
         return findings
@@ -45,8 +49,8 @@ def judge_service(before: MapStatus, after: MapStatus) -> list[Finding]:
             continue  # those of clouds that came to nothing
         elif bad >= ENOUGH and bad > MOST * (good + bad):
             text = f"rejected {bad:,} of {good + bad:,} {what} meanwhile: {reasons}"
-            told: Verdict = "note" if after.problems else "wrong"
-            findings.append(Finding("service", told, text, "see above for the cause"))
+            verdict: Verdict = "note" if after.problems else "wrong"
+            findings.append(Finding("service", verdict, text, "see above for the cause"))
             clouds_lost = what == "clouds"
     return findings
 
