@@ -7,7 +7,7 @@ import tempfile
 import time
 from pathlib import Path
 
-INSTRUMENTED = ["roughmap_schemas", "roughmap_client", "roughmap_service", "mcap"]
+INSTRUMENTED = ["roughmap_schemas", "roughmap_client", "roughmap_ros", "roughmap_service", "mcap"]
 
 RSS_MIB = 2048
 INPUT_SECONDS = 20

@@ -119,6 +119,18 @@ def clouds_text(payload: bytes) -> None:
     _read_clouds(_file("cloud.xyz", payload))
 
 
+def clouds_ply(payload: bytes) -> None:
+    _read_clouds(_file("cloud.ply", payload))
+
+
+def clouds_pcd(payload: bytes) -> None:
+    _read_clouds(_file("cloud.pcd", payload))
+
+
+def clouds_las(payload: bytes) -> None:
+    _read_clouds(_file("cloud.las", payload))
+
+
 def _read_clouds(path: Path) -> None:
     with contextlib.suppress(CloudFileFault, OSError):
         for part in read_cloud(path):

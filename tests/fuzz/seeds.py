@@ -3,20 +3,25 @@
 import io
 import json
 import sqlite3
+import struct
 import sys
 import tempfile
 from contextlib import closing
 from pathlib import Path
 
+import laspy
 import numpy as np
 import xxhash
 import zstandard
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from mcap.writer import CompressionType, Writer
+from ros_targets import TOPICS
 from targets import CORPUS, TARGETS
 
 from roughmap.cell import STATE_VERSION
+from roughmap_ros.messages import cells_cdr, grid_map_cdr, tf_cdr
+from roughmap_ros.wire.attachment import Attachment, pack_attachment
 from roughmap_schemas import (
     CheckpointEvent,
     Config,
@@ -34,6 +39,7 @@ from roughmap_schemas import (
     model_bytes,
 )
 from roughmap_schemas.grid import encode_grid
+from roughmap_schemas.transform import Transform
 from roughmap_service.store.map_db import SCHEMA, STATE_BYTES, _checksum, tile_checksum
 
 T0 = 1_700_000_000 * 10**9
@@ -132,6 +138,46 @@ def stores() -> list[bytes]:
         return [path.read_bytes()]
 
 
+def ros_messages() -> dict[str, list[bytes]]:
+    """Messages by topic, little-endian, and one of the other order."""
+    covariance = np.eye(6) * 1e-4
+    poses = [
+        Transform(T0 + n * 10**8, parent, child, (0.1 * n, 0.0, 0.0), LEVEL)
+        for n in range(3)
+        for parent, child in (("map", "odom"), ("odom", "base"))
+    ]
+    mounting = Transform(0, "base", "lidar", (0.0, 0.0, 1.0), LEVEL)
+    heights = np.arange(6, dtype=np.float32).reshape(2, 3)
+    cloud = cells_cdr(heights, {"t": heights}, (0.0, 0.0), 1.0, (0.0, 0.0, 0.0), T0, "lidar")
+    header = struct.pack("<4sIII4s", b"\0\1\0\0", T0 // 10**9, 0, 4, b"map\0")
+    numbers = struct.pack("<7d", 1, 2, 3, *LEVEL)
+    body = struct.pack("<I5s7x", 5, b"base\0")  # aligned to 8 after the CDR header
+    odometry = header + body + numbers + covariance.tobytes() + bytes(8 * 42)
+    return {
+        "/points": [cloud],
+        "/odom": [odometry],
+        "/tf": [tf_cdr(poses[n : n + 2]) for n in range(0, 6, 2)],
+        "/tf_static": [tf_cdr([mounting])],
+        "other": [header + numbers, grid_map_cdr({"a": heights}, (0.0, 0.0), 0.1, T0, "map", ["a"])],
+    }
+
+
+def ros_feed() -> bytes:
+    """A robot's messages, as the target `ros_feed` takes them."""
+    order = ("/tf_static", "/points", "/tf", "/odom", "/points")
+    made = ros_messages()
+    parts = [(TOPICS.index(topic), message) for topic in order for message in made[topic]]
+    return b"".join(bytes([topic, 10]) + struct.pack("<H", len(message)) + message for topic, message in parts)
+
+
+def las(points: np.ndarray) -> bytes:
+    file = laspy.LasData(laspy.LasHeader(version="1.2", point_format=1))
+    file.x, file.y, file.z = points.T
+    stream = io.BytesIO()
+    file.write(stream)
+    return stream.getvalue()
+
+
 def npz(**arrays: np.ndarray) -> bytes:
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays)
@@ -199,8 +245,43 @@ def corpus() -> dict[str, list[bytes]]:
     }  # fmt: skip
 
 
+def more_corpus() -> dict[str, list[bytes]]:
+    points = np.arange(12.0, dtype="<f4").reshape(4, 3)
+    xyz = "property float x\nproperty float y\nproperty float z\n"
+    ply = f"element vertex 4\n{xyz}end_header\n"
+    face = "element face 2\nproperty list uchar int i\n"
+    pcd = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 4\nHEIGHT 1\nVIEWPOINT {}\nPOINTS 4\n"
+    text = "1 2 3\n4 5 6\n7 8 9\n1 1 1\n"
+    literal = bytes([31]) + points.T.tobytes()[:32] + bytes([15]) + points.T.tobytes()[32:]
+    token = "@ros2_lv/0/1a2b/0/7/MP/%/%robot/driver/%points/sensor_msgs::msg::dds_::PointCloud2_/RIHS01_0a/::,5:,:,:,,"
+    return {
+        "clouds_ply": [
+            f"ply\nformat ascii 1.0\ncomment c\n{ply}{text}".encode(),
+            f"ply\nformat binary_little_endian 1.0\n{ply}".encode() + points.tobytes(),
+            f"ply\nformat binary_big_endian 1.0\n{face}{ply}".encode()
+            + (b"\1" + bytes(4)) * 2
+            + points.astype(">f4").tobytes(),
+        ],
+        "clouds_pcd": [
+            (pcd.format("0 0 0 1 0 0 0") + "DATA ascii\n" + text).encode(),
+            (pcd.format("1 2 3 1 0 0 0") + "DATA binary\n").encode() + points.tobytes(),
+            (pcd.format("0 0 0 1 0 0 0") + "DATA binary_compressed\n").encode()
+            + struct.pack("<II", len(literal), 48)
+            + literal,
+        ],
+        "clouds_las": [las(points)],
+        "ros_names": [
+            token.encode(),
+            b"@ros2_lv/0/1a2b/0/0/NN/%/%/driver\n0/robot/points/sensor_msgs::msg::dds_::PointCloud2_/RIHS01_0a",
+            pack_attachment(Attachment(1, T0, bytes(range(16)))),
+        ],
+        "ros_messages": [message for some in ros_messages().values() for message in some],
+        "ros_feed": [ros_feed()],
+    }
+
+
 def main() -> None:
-    made = corpus()
+    made = corpus() | more_corpus()
     assert sorted(made) == sorted(TARGETS)
     for target, inputs in made.items():
         folder = CORPUS / target

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import file_targets
+import ros_targets
 import wire_targets
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -28,6 +29,12 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
         file_targets.stored,
         file_targets.clouds_npz,
         file_targets.clouds_text,
+        file_targets.clouds_ply,
+        file_targets.clouds_pcd,
+        file_targets.clouds_las,
+        ros_targets.ros_names,
+        ros_targets.ros_messages,
+        ros_targets.ros_feed,
     )
 }
 

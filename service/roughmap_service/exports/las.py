@@ -4,6 +4,7 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+from lazrs import LazrsError  # type: ignore[import-untyped]
 
 from roughmap_service.exports.layer_rules import height_first
 from roughmap_service.exports.points import cell_points
@@ -40,6 +41,13 @@ def write_las(sheet: Sheet, file: Path) -> None:
     if sheet.crs is not None:
         header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(as_wkt(sheet.crs, LAS, "a LAS file")))
         header.global_encoding.wkt = True
+    try:
+        _write(sheet, file, header, scale)
+    except LazrsError as error:  # in place of an OSError
+        raise ExportFault(f"{file}: can't be written: {error}; is the disk full?") from None
+
+
+def _write(sheet: Sheet, file: Path, header: laspy.LasHeader, scale: float) -> None:
     with laspy.open(file, mode="w", header=header) as out:
         for points in cell_points(sheet):
             rows = laspy.ScaleAwarePointRecord.zeros(len(points.places), header=header)
