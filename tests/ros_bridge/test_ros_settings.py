@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from roughmap_schemas import ConfigFault, config_from
-from roughmap_service.inputs.ros2 import check_topics
+from roughmap_service.inputs.ros2_checks import check_topics
 
 ROBOT = {"clouds": ["/points"], "odometry": "/odom"}
 GRID, OCCUPANCY = {"type": "GridMap"}, {"type": "OccupancyGrid"}
