@@ -78,12 +78,6 @@ def newest(endpoints: list[str], topic: str, ros_type: str, good: Any, qos: Qos 
         return came.wait(lambda items: any(map(good, items[-1:])), f"the right {ros_type} on {topic}")[-1]
 
 
-def is_of_the_newest_state(driven: Driven, message: Any) -> bool:
-    """Tell whether a message has the stamp of the map as it is now: one from before its last scan may come first."""
-    stamp = message.header.stamp
-    return bool(stamp.sec * 10**9 + stamp.nanosec == driven.feed.client.status().newest_stamp_ns)
-
-
 def cells_of(message: Any) -> np.ndarray:
     return np.asarray(message.data).reshape(message.info.height, message.info.width)
 
@@ -148,18 +142,26 @@ def test_a_grid_map_has_each_layer_cell_by_cell(driven: Driven) -> None:
 
 def test_cells_around_a_robot_are_points_in_a_local_frame(driven: Driven) -> None:
     name = "sensor_msgs/msg/PointCloud2"
-    message = newest(
-        driven.endpoints, "/roughmap/cells", name, lambda one: one.width > 100 and is_of_the_newest_state(driven, one)
-    )
     local = local_frame(driven, "map_local")
+    moved = local.transform.translation
+
+    def points_of(message: Any) -> np.ndarray:
+        return np.asarray(message.data).view("<f4").reshape(-1, 4) + np.array([moved.x, moved.y, moved.z, 0.0])
+
+    def is_the_map(message: Any) -> bool:
+        """A message from before the map's last scan may come first."""
+        points = points_of(message)
+        there = driven.feed.client.cells(points[:, :2], ["mean_height", "traversability"])
+        return bool(
+            message.width > 100
+            and np.allclose(points[:, 2], there["mean_height"], atol=1e-5)
+            and np.allclose(points[:, 3], there["traversability"], atol=1e-6, equal_nan=True)
+        )
+
+    message = newest(driven.endpoints, "/roughmap/cells", name, is_the_map)
     assert message.header.frame_id == "map_local"
     assert [field.name for field in message.fields] == ["x", "y", "z", "traversability"]
-    points = np.asarray(message.data).view("<f4").reshape(-1, 4)
-    moved = local.transform.translation
-    places = points[:, :2].astype(float) + np.array([moved.x, moved.y])
-    there = driven.feed.client.cells(places, ["mean_height", "traversability"])
-    assert np.allclose(points[:, 2] + moved.z, there["mean_height"], atol=1e-5)
-    assert np.allclose(points[:, 3], there["traversability"], atol=1e-6, equal_nan=True)
+    places = points_of(message)[:, :2]
     middle = (places.min(axis=0) + places.max(axis=0)) / 2
     assert (np.abs(middle - driven.position) < [4.0, 3.0]).all()
     assert (np.abs(places - driven.position) <= [4.2, 3.2]).all()
@@ -180,9 +182,7 @@ def test_far_from_the_origin_cells_lose_nothing(driven: Driven) -> None:
     spread = np.random.default_rng(2).uniform(0.0, 1.0, (2000, 3)) * [9.9, 9.9, 0.01]
     driven.feed.cloud("surveyor", START_NS + 10**9, spread + np.array([*FAR[:2], 412.5]), frame="map")
     name = "sensor_msgs/msg/PointCloud2"
-    message = newest(
-        driven.endpoints, "/roughmap/survey", name, lambda one: one.width > 1000 and is_of_the_newest_state(driven, one)
-    )
+    message = newest(driven.endpoints, "/roughmap/survey", name, lambda one: one.width > 1000)
     local = local_frame(driven, "map_local2")
     moved = local.transform.translation
     assert (message.header.frame_id, moved.x, moved.y) == ("map_local2", 500_000.0, 5_401_000.0)
