@@ -1,9 +1,13 @@
 """Puts the helpers beside it (`net`) within reach of every folder of tests; options and Hypothesis profiles."""
 
+import logging
+from collections.abc import Iterator
 from pathlib import Path
 
 import properties
 import pytest
+
+from roughmap_service.host.log_lines import Lines
 
 properties.register()
 
@@ -35,3 +39,14 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     needed = {"recordings": "--recordings", "ros": "--ros"}.get(collection_path.name)
     without = needed is not None and config.getoption(needed) is None
     return True if without and collection_path.parent == Path(__file__).parent else None
+
+
+@pytest.fixture(autouse=True)
+def _log_lines_end_with_the_test() -> Iterator[None]:
+    """A command that ran within the test sent all log lines to that test's stderr, which is closed afterwards."""
+    root = logging.getLogger()
+    level = root.level
+    yield
+    for handler in [handler for handler in root.handlers if isinstance(handler, Lines)]:
+        root.removeHandler(handler)
+        root.setLevel(level)

@@ -14,13 +14,12 @@ from roughmap_ros.messages import (
     cloud_message,
     grid_map_arrays,
     livox_message,
-    odometry_message,
-    pose_message,
-    pose_stamped_message,
+    read_odometry,
+    read_pose,
+    read_pose_stamped,
     transforms_of,
 )
 from roughmap_ros.wire.attachment import BadAttachment, pack_attachment, unpack_attachment
-from roughmap_ros.wire.keys import parse_data_key
 from roughmap_ros.wire.tokens import parse_token
 from roughmap_schemas import MessageFault, decode_cloud, decode_odometry, decode_transform
 from roughmap_schemas.kinds import Kind, RobotMessage
@@ -32,9 +31,9 @@ T0 = 1_700_000_000 * 10**9
 READERS: tuple[Callable[[bytes], Any], ...] = (
     partial(cloud_message, log_ns=T0),
     partial(livox_message, log_ns=T0),
-    partial(odometry_message, log_ns=T0),
-    partial(pose_message, log_ns=T0),
-    partial(pose_stamped_message, log_ns=T0),
+    read_odometry,
+    read_pose,
+    read_pose_stamped,
     transforms_of,
     grid_map_arrays,
 )
@@ -45,7 +44,7 @@ TOPICS = ("/points", "/livox", "/odom", "/tf", "/tf_static")
 
 
 def ros_names(payload: bytes) -> None:
-    """Tokens and keys, a line each."""
+    """Tokens, a line each."""
     for line in payload.decode(errors="replace").splitlines():
         entity = parse_token(line)
         if entity is not None:
@@ -53,9 +52,6 @@ def ros_names(payload: bytes) -> None:
             assert parse_token(entity.token) == entity
             assert len(entity.gid) == 16
             assert entity.qos.depth >= 0
-        key = parse_data_key(line)
-        if key is not None:
-            assert parse_data_key(key.text) == key
     with contextlib.suppress(BadAttachment):
         assert pack_attachment(unpack_attachment(payload))[:16] == payload[:16]
 
