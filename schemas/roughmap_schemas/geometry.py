@@ -82,6 +82,21 @@ def rotation_matrix(unit: Quaternion) -> Matrix:
     )
 
 
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Return the rotation that turns by b, then by a, normalised; written out so that its bits are the same everywhere.
+
+    The product must not be 0.
+    """
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    w = aw * bw - ax * bx - ay * by - az * bz
+    n = math.sqrt(x * x + y * y + z * z + w * w)
+    return x / n, y / n, z / n, w / n
+
+
 def quaternion_of(matrix: Matrix) -> Quaternion:
     """Give the unit quaternion of a rotation matrix, which may be rounded.
 

@@ -3,7 +3,7 @@
 import math
 from typing import Final, NamedTuple
 
-from roughmap_schemas.geometry import Quaternion, Vector, rotation_matrix
+from roughmap_schemas.geometry import Quaternion, Vector, multiply, rotation_matrix
 
 SMALL_ANGLE: Final = 1e-6
 """Below this angle of two unit quaternions, sines are replaced by angles: they agree to 2e-13."""
@@ -24,18 +24,6 @@ def rotate(rotation: Quaternion, v: Vector) -> Vector:
     (a, b, c), (d, e, f), (g, h, i) = rotation_matrix(rotation)
     x, y, z = v
     return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
-
-
-def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Return the rotation that turns by b, then by a, normalised."""
-    ax, ay, az, aw = a
-    bx, by, bz, bw = b
-    return unit(
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-        aw * bw - ax * bx - ay * by - az * bz,
-    )
 
 
 def unit(x: float, y: float, z: float, w: float) -> Quaternion:

@@ -89,16 +89,11 @@ def build(
     """
     from roughmap_schemas.config import configuration_digest
     from roughmap_service.exports.whole import whole
-    from roughmap_service.formats.clouds import READERS
     from roughmap_service.offline.building import Wanted, build_map
     from roughmap_service.store.map_db import Store
 
     config = load(config_path, settings).config
-    if (kind := output.suffix.lower()) in {*READERS, *EXPORTED}:
-        raise BadUse(
-            f"{output}: build makes a map.db: -o {output.with_suffix('.db')}"
-            + (f"; then `roughmap export` writes {kind} of it" if kind in EXPORTED else "")
-        )
+    _check_suffix(output)
     if output.exists() and not force:
         raise BadUse(f"{output} exists; choose another name, or use --force to replace it")
     begun = time.monotonic()
@@ -148,8 +143,18 @@ def build(
         click.get_current_context().exit(130)
 
 
-EXPORTED = frozenset({".tif", ".tiff", ".asc", ".png", ".yaml", ".npz", ".ply", ".pcd", ".las", ".laz"})
-"""Suffixes of what `roughmap export` writes, and no map.db has."""
+def _check_suffix(output: Path) -> None:
+    """Raise BadUse for a suffix that a map.db does not have: of a recording, or of what `roughmap export` writes."""
+    kind = output.suffix.lower()
+    if kind in {"", ".db"}:  # nearly always; the others' writers take a second to import
+        return
+    from roughmap_service.exports.files import formats
+    from roughmap_service.formats.clouds import READERS
+
+    exported = kind in formats(1.0)
+    if exported or kind in READERS:
+        then = f"; then `roughmap export` writes {kind} of it" if exported else ""
+        raise BadUse(f"{output}: build makes a map.db: -o {output.with_suffix('.db')}{then}")
 
 
 def _crs(recordings: tuple[Path, ...]) -> str | None:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap.points.poly import angle
-from roughmap_schemas.geometry import Matrix, Quaternion, Vector
+from roughmap_schemas.geometry import Matrix, Quaternion, Vector, multiply
 
 Floats = npt.NDArray[np.float64]
 
@@ -31,18 +31,6 @@ def rotate(r: Matrix, v: Vector) -> Vector:
     """r v."""
     x, y, z = (row[0] * v[0] + row[1] * v[1] + row[2] * v[2] for row in r)
     return x, y, z
-
-
-def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The rotation that turns by b, then by a, normalised."""
-    ax, ay, az, aw = a
-    bx, by, bz, bw = b
-    x = aw * bx + ax * bw + ay * bz - az * by
-    y = aw * by - ax * bz + ay * bw + az * bx
-    z = aw * bz + ax * by - ay * bx + az * bw
-    w = aw * bw - ax * bx - ay * by - az * bz
-    n = math.sqrt(x * x + y * y + z * z + w * w)
-    return x / n, y / n, z / n, w / n
 
 
 def distance(a: Sequence[float], b: Sequence[float]) -> float:

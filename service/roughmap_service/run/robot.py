@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roughmap_schemas import Odometry, PoseReason, Transform
-from roughmap_schemas.geometry import rotation_matrix
+from roughmap_schemas.geometry import multiply, rotation_matrix
 from roughmap_service.run.covariances import BadCovariance, Settled, settle
 from roughmap_service.run.leaps import Leap, find_leap
 from roughmap_service.run.mountings import Mounted, Mounting, Mountings
 from roughmap_service.run.odometry_clock import BACK_FENCE_NS, BELIEVED, BREAK_FENCE_NS, Held, OdometryClock, Verdict
-from roughmap_service.run.pose_algebra import multiply, quaternion, rotate, triple, turn_covariance
+from roughmap_service.run.pose_algebra import quaternion, rotate, triple, turn_covariance
 from roughmap_service.run.poses import Pose, PoseBuffer
 from roughmap_service.run.rules_1 import StampOrder
 from roughmap_service.run.sensor_clock import SensorClock

@@ -14,9 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from roughmap_schemas.cloud import encode_cloud
-from roughmap_schemas.geometry import Quaternion, quaternion_of
+from roughmap_schemas.geometry import Quaternion, multiply, quaternion_of
 from roughmap_schemas.odometry import encode_odometry
-from roughmap_service.run.pose_algebra import multiply
 from roughmap_service.simulation.ground import PATH_HALF_LENGTH, PATH_HALF_WIDTH, path
 from roughmap_service.simulation.scanner import NANOSECONDS, Scanner
 from roughmap_service.simulation.world import World, inhabited
